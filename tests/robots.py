@@ -93,9 +93,7 @@ def random_robot(seed: int, kinds: str = "RPRCR", aligned: bool = False) -> Robo
 
 def readings(robot: Robot, n: int, rng: np.random.Generator, share: float = 1.0) -> np.ndarray:
     """Readings within the limits, shape (n, columns); half a turn each way where there are none."""
-    by_name = {j.reading: j for j in reversed(robot.joints)}
-    low = np.array([max(by_name[name].lower, -np.pi) for name in robot.readings])
-    high = np.array([min(by_name[name].upper, np.pi) for name in robot.readings])
+    low, high = np.clip(robot.limits, -np.pi, np.pi).T
     middle, half = (low + high) / 2, share * (high - low) / 2
     return rng.uniform(middle - half, middle + half, (n, len(low)))
 

@@ -261,7 +261,7 @@ def test_a_sonar_that_contradicts_the_camera_throughout_is_named(campaign, capsy
 def arm(tmp_path) -> tuple[Campaign, np.ndarray]:
     """Shots without `square`, the ARID in front of the strip; tells T_world_tip too."""
     robot = load_robot(ARID, "flange", "base_link")
-    q = np.tile(np.mean([(j.lower, j.upper) for j in robot.joints], axis=1), (2, 1))
+    q = np.tile(np.mean(robot.limits, axis=1), (2, 1))
     model = Model(robot, ())
     R, p = model.poses(np.zeros(0), model.rows(q))
     tips = np.tile(np.eye(4), (2, 1, 1))

@@ -153,7 +153,9 @@ def test_every_column_of_the_jacobian_is_the_difference_of_two_poses(drawn: list
     robot = robot_of(drawn)
     rng = np.random.default_rng(seed)
     moving = [
-        Coefficient(j.name, c, Basis("linear", (j.reading,), (0.3,))) for j in robot.joints for c in ("axis", "r1")
+        Coefficient(j.name, c, Basis("linear", (*j.drive.factors,), (0.3,)))
+        for j in robot.joints
+        for c in ("axis", "r1")
     ]
     coefficients = (*robots.FRAMES, *constants(robot, "full"), *moving)
     world, tip = (((None, robots.random_placement(rng)),) for _ in range(2))

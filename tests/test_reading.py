@@ -243,13 +243,13 @@ def test_masters_of_masters_multiply_whatever_the_order_of_the_file() -> None:
     b = 3.0 * c - 1.0
     a = 2.0 * b + 1.0
     for name, value in {"a": a, "b": b, "c": c}.items():
-        master, multiplier, offset = found[name]
-        assert master == "d" and multiplier * d + offset == pytest.approx(value, abs=1e-15)
+        assert found[name].factors.keys() == {"d"}
+        assert found[name].factors["d"] * d + found[name].offset == pytest.approx(value, abs=1e-15)
 
 
 def test_a_limit_that_means_none_is_none() -> None:
     urdf = robots.arid().urdf.replace(b'lower="0"', b'lower="-1e16"', 1)
-    assert parse_robot(urdf, "flange").joints[0].lower == -np.inf
+    assert parse_robot(urdf, "flange").columns[0].lower == -np.inf
 
 
 # ---------------------------------------------------------------- tables

@@ -12,7 +12,8 @@ import robots
 import yourdfpy
 
 from aridcal.errors import RobotError
-from aridcal.robot.chain import Robot, load_robot, parse_robot
+from aridcal.robot.chain import Column, Robot, load_robot, parse_robot
+from aridcal.robot.drive import Drive
 from aridcal.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse, tree_frames
 
 FRANKA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
@@ -57,9 +58,10 @@ def tree_configuration(robot: Robot, readings: np.ndarray) -> np.ndarray:
     model, value = robot.tree, dict(zip(robot.readings, readings, strict=True))
     q = pin.neutral(model)
     for k, name in enumerate(model.names[1:], start=1):
-        master, multiplier, offset = robot.mimics.get(name, (name, 1.0, 0.0))
-        if master in value:
-            position, joint = multiplier * value[master] + offset, model.joints[k]
+        drive = robot.mimics.get(name, Drive({name: 1.0}))
+        if drive.factors.keys() <= value.keys():
+            joint = model.joints[k]
+            position = sum(factor * value[master] for master, factor in drive.factors.items()) + drive.offset
             at = joint.idx_q
             q[at : at + joint.nq] = [np.cos(position), np.sin(position)] if joint.nq == 2 else position
     return q
@@ -148,7 +150,7 @@ def test_mimics_are_driven_by_their_last_master() -> None:
     assert robot.readings == ("motor", "wrist")
     found = robot.positions(np.array([[2.0, 0.7], [-1.0, 0.0]]))
     np.testing.assert_allclose(found, [[0.25, 0.125, 0.7], [-0.05, 0.275, 0.0]], atol=1e-15)
-    assert (robot.joint("lift").lower, robot.joint("lift").upper) == (-3.0, 7.0)
+    assert robot.limits[0].tolist() == [-3.0, 7.0]
 
 
 def test_one_column_drives_a_master_and_its_mimic_on_the_same_chain() -> None:
@@ -159,9 +161,10 @@ def test_one_column_drives_a_master_and_its_mimic_on_the_same_chain() -> None:
 
 
 def test_a_continuous_joint_has_no_limits() -> None:
-    wrist = parse_robot(COLUMN, "hand", "base").joint("wrist")
-    assert (wrist.kind, wrist.continuous, wrist.lower, wrist.upper) == ("revolute", True, -np.inf, np.inf)
-    assert robots.arid().joint("joint_1").upper == pytest.approx(718 * 0.0254)
+    robot = parse_robot(COLUMN, "hand", "base")
+    wrist = robot.columns[1]
+    assert (robot.joint("wrist").kind, wrist) == ("revolute", Column("wrist", "continuous", -np.inf, np.inf))
+    assert robots.arid().columns[0].upper == pytest.approx(718 * 0.0254)
 
 
 def extended_loads(robot: Robot, readings: np.ndarray, gravity: np.ndarray) -> np.ndarray:

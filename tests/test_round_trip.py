@@ -72,8 +72,7 @@ class Calibrated:
         )
         self.robot: Robot = nominal
         self.base = nominal.base
-        low = [max(j.lower, -np.pi) for j in nominal.joints]
-        high = [min(j.upper, np.pi) for j in nominal.joints]
+        low, high = np.clip(nominal.limits, -np.pi, np.pi).T
         assert nominal.readings == nominal.names
         self.q = rng.uniform(low, high, (CONFIGURATIONS, len(low)))
         self.R, self.p = model.poses(theta, model.rows(self.q))

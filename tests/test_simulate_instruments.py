@@ -83,8 +83,7 @@ def written(folder: Path, made: Scenario) -> tuple[Dataset, dict]:
     write_campaign(simulate(made), out, out)
     campaign = load_campaign(out / "campaign.yaml")
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, None, campaign.limits.urdf)
-    limits = np.array([(joint.lower, joint.upper) for joint in robot.joints])
-    rows = load_measurements(campaign, robot.readings, limits, robot.kinds)
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
     assert rows.refused == ()
     return rows, json.loads((out / "truth.json").read_text())
 

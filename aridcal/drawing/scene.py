@@ -25,7 +25,7 @@ from aridcal.drawing.shapes import packed, position_quaternion, robot_shapes, st
 from aridcal.drawing.thinned import thinned
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.chain import Robot, same_chain
 from aridcal.robot.kinematics import tree_frames
 from aridcal.robot.shapes import Shape
 
@@ -365,7 +365,7 @@ def scene(outcome: Outcome) -> Scene:
     told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
-        calibrated=parse_robot(calibrated, robot.tip, robot.base, robot.path, robot.packages),
+        calibrated=same_chain(robot, calibrated),
         readings=m.readings[rows],
         T_world_base=bases[world],
         measured=measured,

@@ -13,7 +13,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.pose import residuals
 from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.chain import Robot, same_chain
 from aridcal.robot.doty import doty_links
 from aridcal.robot.doty1992 import pose, start
 
@@ -61,7 +61,7 @@ def closed_form(geometric: Fit, rows: Dataset, used: np.ndarray) -> ClosedForm |
         links = start(ends[used], q[used])
     except NotIdentifiable:
         return None
-    calibrated = parse_robot(stage_urdf(geometric), robot.tip, robot.base, robot.path)
+    calibrated = same_chain(robot, stage_urdf(geometric))
     predicted = base @ pose(links, q) @ target
     left = residuals(predicted[:, :3, :3], predicted[:, :3, 3], rows.position, rows.rotation)
     return ClosedForm(_link_table(robot), links, _link_table(calibrated), left)

@@ -140,7 +140,7 @@ def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
         if head.robot is None:
             raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
         arm = head.robot
-        robot = load_robot(arm.urdf, arm.tip, arm.base, head.limits.urdf, arm.packages, arm.arguments)
+        robot = load_robot(arm.urdf, arm.tip, arm.base, head.limits.urdf, arm.packages, arm.arguments, arm.stated)
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
     columns = zip(table.line, images, h, given, cameras, strict=True)

@@ -33,6 +33,7 @@ from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
 from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.drive import Stated
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,6 +74,15 @@ class ArmSettings(Section):
     """Folders of packages of ROS that the URDF names and that are not found by themselves."""
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
     """Of a xacro file."""
+    joints: dict[str, Number] = Field(default_factory=dict)
+    """Where joints without a column stand in all rows, rad or m."""
+    coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    """Factors of joints without a column that follow several others."""
+
+    @property
+    def stated(self) -> Stated:
+        """What it says of joints that have no column."""
+        return Stated(self.joints, self.coupled)
 
 
 class RobotSettings(ArmSettings):
@@ -345,7 +355,9 @@ def nominal_robot(job: Job) -> Robot:
         CampaignError: `controller_zeros` or the `joints` of a block name a joint that is not on it.
     """
     named = job.robot
-    robot = load_robot(named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments)
+    robot = load_robot(
+        named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments, named.stated
+    )
     for name in named.controller_zeros:
         if name not in robot.readings:
             raise CampaignError(

@@ -53,6 +53,8 @@ ABSURD = 1e9
 FINEST = 1e-12
 # A covariate that large is a hole: some programs write 1e308 where they know nothing.
 UNUSABLE = 1e30
+# Of a column that would contradict the campaign.
+STATED = "`robot.joints` or `robot.coupled` says where this joint is in all rows"
 # More than an angle of a pose, or a joint with limits, turns, [rad].
 TURNS = 4 * np.pi
 
@@ -72,6 +74,7 @@ class Source:
         settings: Which column holds which quantity, in which unit.
         joint_names: Joints whose readings are columns of the table.
         origin: The file that the settings come from, for messages.
+        stated: Joints of which `robot.joints` or `robot.coupled` says where they are: they have no column.
         usable: Rows in which nothing needed was wrong so far, shape (N,) bool.
         refused: Why the others are not.
         notices: What is odd but used.
@@ -82,6 +85,7 @@ class Source:
     settings: MeasurementSettings
     joint_names: tuple[str, ...]
     origin: str
+    stated: Collection[str] = ()
     usable: np.ndarray = field(init=False)
     refused: list[Remark] = field(init=False)
     notices: list[Remark] = field(init=False, default_factory=list)
@@ -94,6 +98,8 @@ class Source:
         quantities = (*QUANTITIES, *self.settings.own_columns, *directions)
         known = (*self.joint_names, *quantities)
         for name in self.settings.columns:
+            if name in self.stated:
+                raise CampaignError(f"{self.origin}: measurements.columns.{name}: {STATED}. Delete it here or there")
             if name not in known and not name.startswith("temperature_"):
                 raise CampaignError(
                     f"{self.origin}: measurements.columns.{name}: is neither a joint of the chain nor a quantity"
@@ -329,6 +335,9 @@ class Source:
         """Every numeric column that is nothing else, by its quantity, shape (N,), NaN in its holes.
 
         To be called last: what other methods have read is no covariate.
+
+        Raises:
+            MeasurementError: a column is of a joint of which the campaign says where it is.
         """
         quantities = {column: quantity for quantity, column in self.settings.columns.items()}
         found = {}
@@ -336,6 +345,11 @@ class Source:
             if not name or name in self.used or name in self.settings.ignore:
                 continue
             quantity = quantities.get(name, name)
+            if quantity in self.stated:
+                raise MeasurementError(
+                    f"{self.table.title}: column {name!r}: {STATED}. Delete the joint there to use the column, or list the "
+                    "column under `measurements.ignore`"
+                )
             if quantity == ROW_ORDER:
                 self.note(name, "is not used: that is what the order of the rows is called; rename the column")
             elif name not in quantities and name in self.settings.columns:

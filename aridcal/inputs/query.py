@@ -104,6 +104,7 @@ def load_query(
     label: Literal["station", "target"] = "station",
     needs: Collection[str] = (),
     of_labels: Collection[str] = (),
+    stated: Collection[str] = (),
     limit: Limit = TABLE,
 ) -> Query:
     """Read a table of joint readings, or of wanted poses, keeping every row and column.
@@ -120,6 +121,7 @@ def load_query(
         needs: Covariates that every row needs, where they have a column.
         of_labels: Covariates of stations (see :mod:`aridcal.effects.labels`); their column is needed then, its cells may be
             empty.
+        stated: Joints of which the campaign says where they are: they may have no column.
         limit: How large the table may be.
 
     Raises:
@@ -135,7 +137,7 @@ def load_query(
     table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
-    source = Source(table, settings, tuple(readings), table.title)
+    source = Source(table, settings, tuple(readings), table.title, stated)
     q = source.seeds(kinds) if poses else source.joints(kinds)
     position, quaternion = None, None
     if poses and settings.kind != "position":

@@ -145,7 +145,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
 
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
-    source = Source(table, settings, asked.readings, str(campaign.path))
+    source = Source(table, settings, asked.readings, str(campaign.path), campaign.robot.stated.names)
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")

@@ -207,16 +207,7 @@ class Model:
         if self.at_things.any():
             return self._arm.by_readings(theta[~self.at_things], self._of_arm(rows))
         R, p, twists = self.motions(theta, rows)
-        return R, p, twists[:, :, self._extended.own] @ self._drive
-
-    @cached_property
-    def _drive(self) -> np.ndarray:
-        """How readings move the robot's joints, mimics among them, shape (joints, columns)."""
-        column = {name: k for k, name in enumerate(self.robot.readings)}
-        drive = np.zeros((len(self.robot.joints), len(column)))
-        for row, joint in zip(drive, self.robot.joints, strict=True):
-            row[column[joint.reading]] = joint.multiplier
-        return drive
+        return R, p, twists[:, :, self._extended.own] @ self.robot.factors
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
         """What joints do, or anything linear in that, (N, m, joints), as what coefficients from the first on do, (N, m, K)."""

@@ -17,6 +17,7 @@ from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
+from aridcal.robot.drive import Drive
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,11 @@ class OneRowModel:
         self._size = self._model.nv
         self._carrier = locked.carrier
 
-        column = {name: k for k, name in enumerate(robot.readings)}
-        self._multiplier = np.array([j.multiplier for j in robot.joints])
-        self._offset = np.array([j.offset for j in robot.joints])
-        self._column = np.array([column[j.reading] for j in robot.joints])
-        self._drive = np.zeros((self._size, len(column)))
-        self._drive[locked.own, self._column] = self._multiplier
+        self._factors, self._offsets = robot.factors, robot.offsets
+        self._drive = np.zeros((self._size, len(robot.readings)))
+        self._drive[locked.own] = self._factors
         self.still = np.zeros(self._size)
-        self.still[locked.own] = self._offset
+        self.still[locked.own] = self._offsets
 
         here = [c.station in (None, station) for c in model.coefficients]
         free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]
@@ -171,7 +169,7 @@ class OneRowModel:
         if not self._covariates:
             return self.still
         z = np.empty(self._covariates)
-        positions = readings[self._column] * self._multiplier + self._offset
+        positions = self._factors @ readings + self._offsets
         for k, joint in self._joints:
             z[k] = positions[joint]
         try:
@@ -252,20 +250,18 @@ def _target_at(model: Model, station: str | None) -> np.ndarray:
 
 
 class _Driven(NamedTuple):
-    """How a reading sets a joint of the tree.
+    """How readings set a joint of the tree.
 
     Attributes:
         place: Of its first coordinate in Pinocchio's configuration.
         as_unit_vector: True where Pinocchio has cosine and sine, as of joints that turn without end.
-        column: Of the readings.
-        multiplier: Position = multiplier * reading + offset.
-        offset: See ``multiplier``.
+        factors: Columns of the readings, and what each counts.
+        offset: What is added.
     """
 
     place: int
     as_unit_vector: bool
-    column: int
-    multiplier: float
+    factors: tuple[tuple[int, float], ...]
     offset: float
 
 
@@ -392,8 +388,8 @@ def _link(robot: Robot, name: str) -> int:
 
 def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None:
     """Set the tree's joints that readings drive."""
-    for k, as_unit_vector, column, multiplier, offset in driven:
-        angle = multiplier * readings[column] + offset
+    for k, as_unit_vector, factors, offset in driven:
+        angle = sum(factor * readings[column] for column, factor in factors) + offset
         if as_unit_vector:
             q[k], q[k + 1] = np.cos(angle), np.sin(angle)
         else:
@@ -406,6 +402,7 @@ def _driven(robot: Robot) -> Iterator[_Driven]:
     column = {name: k for k, name in enumerate(robot.readings)}
     still = set() if robot.climbs else set(tree.supports[tree.frames[_link(robot, robot.base)].parentJoint])
     for k in range(1, tree.njoints):
-        master, multiplier, offset = robot.mimics.get(tree.names[k], (tree.names[k], 1.0, 0.0))
-        if master in column and k not in still:
-            yield _Driven(tree.idx_qs[k], tree.nqs[k] == 2, column[master], multiplier, offset)
+        drive = robot.mimics.get(tree.names[k], Drive({tree.names[k]: 1.0}))
+        if drive.factors.keys() <= column.keys() and k not in still:
+            factors = tuple((column[name], factor) for name, factor in drive.factors.items())
+            yield _Driven(tree.idx_qs[k], tree.nqs[k] == 2, factors, drive.offset)

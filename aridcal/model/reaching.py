@@ -41,8 +41,7 @@ THERE = 1e-9
 
 def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest readings, shape (columns,) each, [rad] or [m]; +-pi where there is no limit."""
-    limits = {joint.reading: (joint.lower, joint.upper) for joint in robot.joints}
-    low, high = np.array([limits[reading] for reading in robot.readings]).T
+    low, high = robot.limits.T
     return np.where(np.isfinite(low), low, -math.pi), np.where(np.isfinite(high), high, math.pi)
 
 

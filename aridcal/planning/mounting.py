@@ -21,7 +21,7 @@ def mounting_side(robot: Robot) -> float:
     Args:
         robot: The nominal chain.
     """
-    turning = [k for k, joint in enumerate(robot.joints) if joint.kind != "prismatic"]
+    turning = _turning(robot)
     if not turning or turning[0] + 1 >= len(robot.joints):
         return 0.0
     frames, origins = joint_frames(robot, np.zeros((1, len(robot.readings))))
@@ -42,6 +42,11 @@ def stands_above(robot: Robot, side: float, readings: np.ndarray, targets: np.nd
         readings: Shape (n, columns), [rad] or [m].
         targets: Where the target is in the base's frame, shape (n, 3), [m].
     """
-    first = next(k for k, joint in enumerate(robot.joints) if joint.kind != "prismatic")
+    first = _turning(robot)[0]
     heights = side * joint_frames(robot, readings)[1][:, first + 1 :, 2]
     return np.asarray((heights > THICK).all(axis=1) & (side * targets[:, 2] >= 0.0))
+
+
+def _turning(robot: Robot) -> list[int]:
+    """Joints that turn, base to tip."""
+    return [k for k, joint in enumerate(robot.joints) if joint.kind != "prismatic" and joint.drive.factors]

@@ -101,6 +101,8 @@ def with_usual_effects(known: Beforehand, offered: Candidates) -> Beforehand:
 def _usual(observed: Observed, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
     """Kind and coefficients of each suspect."""
     for joint in observed.robot.joints:
+        if not joint.drive.factors:
+            continue
         if joint.kind == "prismatic":
             for kind in sorted(RAIL & kinds):
                 yield kind, _bends(observed, joint.name, kind)

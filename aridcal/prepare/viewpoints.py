@@ -197,11 +197,11 @@ def _approach(
     robot = model.robot
     ones = Basis("ones", (robot.names[0],))
     moving = model.with_coefficients([Coefficient(j.name, "axis", ones) for j in robot.joints])
-    columns = [robot.readings.index(j.reading) for j in robot.joints]
-    turning = np.array([j.kind == "revolute" for j in robot.joints])
-    still = np.zeros(len(columns))
+    turning = np.array([kind != "prismatic" for kind in robot.kinds])
+    still = np.zeros(len(robot.joints))
     for _ in range(STEPS):
-        R, p, J = moving.jacobian(still, moving.rows(q))
+        R, p, by_joints = moving.jacobian(still, moving.rows(q))
+        J = by_joints @ robot.factors
         z = R[:, :, 2]
         across = np.eye(3) - z[:, :, None] * z[:, None, :]
         e = np.concatenate([at - p, LEVER * np.cross(z, axis)], axis=1)
@@ -210,9 +210,7 @@ def _approach(
         H = At @ A + DAMPING * np.eye(A.shape[2])
         step = np.linalg.solve(H, At @ e[:, :, None])[:, :, 0]
         step = np.where(turning, np.clip(step, -TURN, TURN), step)
-        for k, column in enumerate(columns):
-            q[:, column] += step[:, k]
-        q = np.clip(q, low, high)
+        q = np.clip(q + step, low, high)
     return q
 
 

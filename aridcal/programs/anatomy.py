@@ -73,12 +73,11 @@ def anatomy_of(robot: Robot, axes: Axes) -> Anatomy | None:
         robot: The nominal arm.
         axes: With what its controller shows where its readings are zero.
     """
-    columns = [robot.readings.index(joint.reading) for joint in robot.joints]
     if len(axes.arm) != 6 or any(axes.kinds[k] == "prismatic" for k in axes.arm):
         return None
-    if any(joint.reading != joint.name for joint in robot.joints):  # one that follows another, as a rod makes it
+    if robot.readings != robot.names:  # one that follows others, as a rod makes it, or that stands still
         return None
-    joints = [columns.index(k) for k in axes.arm]
+    joints = list(axes.arm)
     zero = np.zeros(len(robot.readings))
     zero[list(axes.arm)] = [-axes.unit(k, DEGREE, MILLIMETRE) * axes.zero(k) for k in axes.arm]
     frames, origins = joint_frames(robot, zero[None])

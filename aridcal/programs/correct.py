@@ -400,8 +400,9 @@ class _Walk:
         """From which side each joint comes that has to do with it."""
         found = {}
         for name, side in self._sides.items():
-            k = self._robot.readings.index(self._robot.joint(name.removesuffix("_direction")).reading)
-            found[name] = approach(q[:, k], STILL, side, float(self._nominal[k]))
+            k = self._robot.names.index(name.removesuffix("_direction"))
+            at, middle = self._robot.positions(q)[:, k], self._robot.positions(self._nominal[None])[0, k]
+            found[name] = approach(at, STILL, side, float(middle))
             self._sides[name] = float(found[name][-1])
         return found
 

@@ -28,6 +28,7 @@ from aridcal.programs.zeros import cell_zeros, without_mirrored, witnesses, zero
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.reading.freed import give_back
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, atomic_folder, check_home, claimed
@@ -138,6 +139,20 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
+def _refuse_coupled(robot: Robot) -> None:
+    """Refuse an arm whose axes nobody can tell from its readings.
+
+    Raises:
+        CampaignError: a joint of it follows several others.
+    """
+    for joint in robot.joints:
+        if len(joint.drive.factors) > 1:
+            raise CampaignError(
+                f"robot.coupled: joint {joint.name!r} follows {' and '.join(joint.drive.factors)}: which of them a program's "
+                "axes are, and where its controller stops them, is not known; give a table of poses to `aridcal compensate`"
+            )
+
+
 def _corrected(
     request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
 ) -> tuple[tuple[str, ...], Corrections, tuple[str, ...]]:
@@ -148,6 +163,7 @@ def _corrected(
             f"{request.calibration}: joints move the base {robot.base!r}, and a program says where its targets are in a "
             "base that stands still. Calibrate with `robot.base` at the arm's foot"
         )
+    _refuse_coupled(robot)
     frames = read_frames(request.frames)
     where, numbers = ("--start", request.start) if request.start is not None else ("--frames: `start`", frames.start)
     axes = axes_of(robot.kinds, cell_zeros(saved, request.zeros, language))

@@ -36,6 +36,10 @@ class RobotPart(Section):
     urdf_name: str
     urdf_sha256: str
     urdf_encoding: Literal["utf-8", "latin-1"]
+    joints: dict[str, Number] = Field(default_factory=dict)
+    """Where joints without a column stand."""
+    coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
+    """Factors of joints that follow several others."""
     urdf: str
 
     @property

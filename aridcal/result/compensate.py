@@ -136,7 +136,7 @@ class Trajectory:
     def _approach(self, name: str, readings: np.ndarray) -> np.ndarray:
         """The side from which a joint comes to its place, shape (N,)."""
         robot = self._saved.final.model.robot
-        own = readings[:, robot.readings.index(robot.joint(name.removesuffix("_direction")).reading)]
+        own = robot.positions(readings)[:, robot.names.index(name.removesuffix("_direction"))]
         side, last = self._sides[name]
         found = approach(own, STILL, side, last)
         known = own[~np.isnan(own)]

@@ -21,7 +21,7 @@ from aridcal.instruments.channels import Channel, columns
 from aridcal.model.model import Model
 from aridcal.result.key_figures import scored
 from aridcal.result.outcome import Outcome, leading
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.chain import Robot, same_chain
 from aridcal.robot.dh import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.trust.regions import Region, Regions, regions
 
@@ -134,7 +134,7 @@ def hand_over(outcome: Outcome) -> Handover:
         offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
-        calibrated=parse_robot(stage_urdf(outcome.stage("geometric").fit), robot.tip, robot.base, robot.path),
+        calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
         regions=own,
     )
 

@@ -104,7 +104,7 @@ def _columns(fit: Fit, rows: Dataset, loads: dict[tuple[str, int], np.ndarray]) 
     """Whitened residual (N, m) and columns (N, m, K) of constants, then of harmonics, then of loads, joint by joint."""
     robot, model = fit.model.robot, fit.model
     named = {f"load of {joint} along {'xyz'[i]}": (joint, values) for (joint, i), values in loads.items()}
-    turning = [name for name, kind in zip(robot.names, robot.kinds, strict=True) if kind != "prismatic"]
+    turning = [joint.name for joint in robot.joints if joint.kind != "prismatic" and joint.drive.factors]
     waves = [Coefficient(name, "axis", Basis(form, (name,), (1.0,))) for name in turning for form in ("sin", "cos")]
     pulls = [Coefficient(joint, "axis", Basis("linear", (name,), (0.0,))) for name, (joint, _) in named.items()]
     more = replace(rows, covariates={**rows.covariates, **{name: values for name, (_, values) in named.items()}})

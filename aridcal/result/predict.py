@@ -108,6 +108,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         label=saved.frames_by,
         needs=needed_of(saved) - set(directions(saved) if poses else ()),
         of_labels=labels_of(c.basis for c in saved.final.model.coefficients),
+        stated=robot.stated.names,
         limit=saved.limits.table,
     )
     query = _as_nights_count(saved, query)

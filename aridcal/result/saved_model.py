@@ -43,6 +43,7 @@ from aridcal.result.calibration_file import (
     untold_of,
 )
 from aridcal.robot.chain import parse_robot
+from aridcal.robot.drive import Stated
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
 from aridcal.trust.wander import Wander
@@ -219,9 +220,11 @@ class SavedModel:
         robot = self.final.model.robot
         links = sum(float(np.linalg.norm(step.translation)) for step in robot.onward[1:-1])
         travels = [
-            float(np.ptp(self.ranges[j.reading]))
+            float(np.ptp(self.ranges[name]))
             for j in robot.joints
-            if j.kind == "prismatic" and j.reading in self.ranges
+            if j.kind == "prismatic"
+            for name in j.drive.factors
+            if name in self.ranges
         ]
         ends = [robot.onward[-1] * frame for _, frame in self.final.model.tip_target]
         return links + sum(travels) + max(float(np.linalg.norm(end.translation)) for end in ends)
@@ -338,6 +341,8 @@ class SavedModel:
                 "urdf_name": robot.path.name,
                 "urdf_sha256": hashlib.sha256(robot.urdf).hexdigest(),
                 "urdf_encoding": encoding,
+                **({"joints": dict(robot.stated.joints)} if robot.stated.joints else {}),
+                **({"coupled": _plain(robot.stated.coupled)} if robot.stated.coupled else {}),
                 "urdf": _Block(robot.urdf.decode(encoding)),
             },
             "noise": {"position": self.noise[0], "rotation": self.noise[1]},
@@ -403,7 +408,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         KeyError, IndexError, ValueError, ArithmeticError: a coefficient is of no place in it, or its motion no number.
     """
     about = document.robot
-    robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name))
+    stated = Stated(about.joints, about.coupled)
+    robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=stated)
     middle = {name: (low + high) / 2 for name, (low, high) in document.ranges.items()}
 
     def solved(part: SolvedPart) -> SolvedModel:
@@ -461,6 +467,11 @@ def _frames(entries: Sequence[FramePart]) -> Frames:
     return tuple(
         (e.station, pin.SE3(pin.Quaternion(np.array(e.quaternion)).matrix(), np.array(e.xyz))) for e in entries
     )
+
+
+def _plain(coupled: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Factors as plain data."""
+    return {name: dict(factors) for name, factors in coupled.items()}
 
 
 def _encoding(urdf: bytes) -> str:

@@ -6,7 +6,7 @@ a joint's own ``<origin>`` and M its motion, a step down is :math:`O M(q)`, a st
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,7 @@ from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
 from aridcal.reading.files import URDF, Limit
+from aridcal.robot.drive import NOTHING, Drive, Stated
 from aridcal.robot.expand import plain_name, read_urdf
 from aridcal.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
 
@@ -35,12 +36,7 @@ class Joint:
         before: Fixed joints between the previous moving joint (or the base) and the link at which the path enters this one: its
             parent link, on the way up its child link.
         origin: This joint's own ``<origin>``.
-        lower: Lower limit of the reading, [rad] or [m]; -inf if there is none.
-        upper: Upper limit of the reading.
-        continuous: True for a joint that turns without end.
-        reading: Column that drives the joint: its own name, or its master's if it mimics one.
-        multiplier: Position = multiplier * reading + offset (1 and 0 unless it mimics).
-        offset: See ``multiplier``, [rad] or [m].
+        drive: What moves it: its own column, its masters' if it follows others, or none if it stands still.
         climbs: True on the way up from the base: the path goes from the child link to the parent link.
     """
 
@@ -49,18 +45,30 @@ class Joint:
     axis: np.ndarray
     before: pin.SE3
     origin: pin.SE3
-    lower: float
-    upper: float
-    continuous: bool
-    reading: str
-    multiplier: float = 1.0
-    offset: float = 0.0
+    drive: Drive
     climbs: bool = False
 
     @property
     def along(self) -> np.ndarray:
         """Unit vector, in the joint frame, about or along which the tip moves in the base, shape (3,)."""
         return -self.axis if self.climbs else self.axis
+
+
+@dataclass(frozen=True)
+class Column:
+    """Readings that a measurement needs.
+
+    Attributes:
+        name: Joint that they are of, as in the URDF.
+        kind: Of that joint; of one whose mimic comes first on the chain, that of the mimic.
+        lower: Lower limit, [rad] or [m]; -inf if there is none.
+        upper: Upper limit.
+    """
+
+    name: str
+    kind: JointKind
+    lower: float
+    upper: float
 
 
 @dataclass(frozen=True)
@@ -75,12 +83,14 @@ class Robot:
         base: First link of the chain.
         tip: Last link of the chain.
         joints: Moving joints, base to tip.
+        columns: What moves them, each once, in chain order.
         tip_joint: Name of the last fixed joint before the tip; None if a moving joint ends in the tip.
         tip_before: Fixed joints after the last moving joint, up to ``tip_joint``.
         tip_origin: Own ``<origin>`` of ``tip_joint``; identity if there is none.
         moves: Axis and kind of every moving joint of the tree, by name.
-        mimics: For every joint that follows another: (master, multiplier, offset), resolved to the last master.
+        mimics: What moves every joint of the tree that follows others or stands still, resolved to the last masters.
         packages: Where the user says that packages of ROS are, which its meshes are in.
+        stated: What the user says of joints that have no column.
     """
 
     urdf: bytes
@@ -88,17 +98,19 @@ class Robot:
     base: str
     tip: str
     joints: tuple[Joint, ...]
+    columns: tuple[Column, ...]
     tip_joint: str | None
     tip_before: pin.SE3
     tip_origin: pin.SE3
     moves: Mapping[str, tuple[np.ndarray, str]] = field(repr=False)
-    mimics: Mapping[str, tuple[str, float, float]] = field(repr=False)
+    mimics: Mapping[str, Drive] = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
+    stated: Stated = NOTHING
 
     @property
     def readings(self) -> tuple[str, ...]:
-        """Columns that a measurement needs, each once, in chain order."""
-        return tuple(dict.fromkeys(j.reading for j in self.joints))
+        """Names of the columns that a measurement needs."""
+        return tuple(column.name for column in self.columns)
 
     @cached_property
     def onward(self) -> tuple[pin.SE3, ...]:
@@ -117,19 +129,13 @@ class Robot:
 
     @property
     def kinds(self) -> tuple[JointKind, ...]:
-        """Kind of each reading column; of columns that drive several joints, that of the first."""
-        by_reading: dict[str, JointKind] = {}
-        for j in self.joints:
-            by_reading.setdefault(j.reading, "continuous" if j.continuous else j.kind)
-        return tuple(by_reading[name] for name in self.readings)
+        """Kind of each reading column."""
+        return tuple(column.kind for column in self.columns)
 
     @property
     def limits(self) -> np.ndarray:
         """Lower and upper limit of each reading column, shape (columns, 2), [rad] or [m]; infinite where none is."""
-        by_reading: dict[str, tuple[float, float]] = {}
-        for j in self.joints:
-            by_reading.setdefault(j.reading, (j.lower, j.upper))
-        return np.array([by_reading[name] for name in self.readings])
+        return np.array([(column.lower, column.upper) for column in self.columns])
 
     def joint(self, name: str) -> Joint:
         """Return the chain's joint of that name."""
@@ -143,13 +149,22 @@ class Robot:
         """Names of the moving joints, base to tip."""
         return tuple(j.name for j in self.joints)
 
+    @cached_property
+    def factors(self) -> np.ndarray:
+        """How readings move the joints, shape (joints, columns)."""
+        return np.array([[joint.drive.factors.get(name, 0.0) for name in self.readings] for joint in self.joints])
+
+    @property
+    def offsets(self) -> np.ndarray:
+        """Where the joints are when all readings are zero, shape (joints,), [rad] or [m]."""
+        return np.array([joint.drive.offset for joint in self.joints])
+
     def positions(self, readings: np.ndarray) -> np.ndarray:
-        """Joint positions, shape (N, joints), from readings, shape (N, columns): mimics follow their masters."""
+        """Joint positions, shape (N, joints), from readings, shape (N, columns): each joint follows its drive."""
         column = {name: k for k, name in enumerate(self.readings)}
-        index = [column[j.reading] for j in self.joints]
-        found = readings[:, index].astype(float, copy=False)  # a copy already; of a million rows two more take 96 MB
-        found *= [j.multiplier for j in self.joints]
-        found += [j.offset for j in self.joints]
+        found = np.empty((len(self.joints), len(readings))).T
+        for own, joint in zip(found.T, self.joints, strict=True):
+            own[:] = driven(joint.drive, readings, column)
         return found
 
     @cached_property
@@ -164,6 +179,20 @@ class Robot:
         return np.array([sum(model.inertias[k].mass for k in model.subtrees[model.getJointId(n)]) for n in self.names])
 
 
+def driven(drive: Drive, readings: np.ndarray, column: Mapping[str, int]) -> np.ndarray | float:
+    """Positions of a joint, shape (N,); one number where it follows nothing.
+
+    Args:
+        drive: What moves it.
+        readings: Shape (N, columns), [rad] or [m].
+        column: Where each master's readings are.
+    """
+    moved: np.ndarray | float = 0.0
+    for name, factor in drive.factors.items():
+        moved = moved + factor * readings[..., column[name]]
+    return moved + drive.offset
+
+
 def load_robot(
     path: str | Path,
     tip: str,
@@ -171,6 +200,7 @@ def load_robot(
     limit: Limit = URDF,
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
+    stated: Stated = NOTHING,
 ) -> Robot:
     """Read the chain base -> tip of a URDF file.
 
@@ -181,15 +211,16 @@ def load_robot(
         limit: How large the file may be.
         packages: Where packages of ROS are that are not found otherwise.
         arguments: Values of the xacro file's arguments.
+        stated: What the user says of joints that have no column.
 
     Raises:
-        RobotError: the file cannot be read, is hostile (DTD, entities), or has no such serial chain.
+        RobotError: the file cannot be read, is hostile (DTD, entities), or has no such serial chain or no such joints.
     """
     try:
         urdf = read_urdf(Path(path), limit, packages, arguments)
     except RobotError as error:
         raise RobotError(f"{error}. Check `robot.urdf`.") from None
-    return parse_robot(urdf, tip, base, plain_name(Path(path)), packages)
+    return parse_robot(urdf, tip, base, plain_name(Path(path)), packages, stated)
 
 
 def parse_robot(
@@ -198,9 +229,15 @@ def parse_robot(
     base: str | None = None,
     path: Path = Path("robot.urdf"),
     packages: Mapping[str, Path] | None = None,
+    stated: Stated = NOTHING,
 ) -> Robot:
     """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
-    return replace(chain(read_tree(urdf, path), tip, base), packages=packages or {})
+    return replace(chain(read_tree(urdf, path, stated), tip, base), packages=packages or {}, stated=stated)
+
+
+def same_chain(robot: Robot, urdf: bytes) -> Robot:
+    """The same chain of another URDF of the robot, that with corrected origins."""
+    return parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
 
 
 def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
@@ -242,7 +279,13 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
             f"{path}: no joint moves between {start!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
             "other end"
         )
-    return Robot(tree.urdf, path, start, tip, tuple(joints), name, before, origin, tree.moves, tree.mimics)
+    columns = _columns(joints, tree)
+    if not columns:
+        raise RobotError(
+            f"{path}: all joints between {start!r} and {tip!r} stand still by `robot.joints`: nothing to calibrate. Delete "
+            "those there that move"
+        )
+    return Robot(tree.urdf, path, start, tip, tuple(joints), columns, name, before, origin, tree.moves, tree.mimics)
 
 
 def _ways_to_the_root(tree: UrdfTree, link: str) -> list[etree._Element]:
@@ -273,23 +316,38 @@ def _pinocchio(urdf: bytes, path: Path) -> pin.Model:
 
 
 def _joint(name: str, before: pin.SE3, tree: UrdfTree, climbs: bool) -> Joint:
-    (axis, kind), path = tree.moves[name], tree.path
-    master, multiplier, offset = tree.mimics.get(name, (name, 1.0, 0.0))
-    driver = tree.joints[master]
-    if master not in tree.moves:
-        raise RobotError(f"{path}: joint {name!r} mimics {master!r}, which does not move: check `<mimic>`")
+    axis, kind = tree.moves[name]
+    drive = tree.mimics.get(name, Drive({name: 1.0}))
+    for master in drive.factors:
+        if master not in tree.moves:
+            raise RobotError(f"{tree.path}: joint {name!r} mimics {master!r}, which does not move: check `<mimic>`")
+    return Joint(name, kind, axis, before, tree.origins[name], drive, climbs)
+
+
+def _columns(joints: Sequence[Joint], tree: UrdfTree) -> tuple[Column, ...]:
+    """What moves joints, each once."""
+    found: dict[str, Column] = {}
+    for joint in joints:
+        mimics_one = len(joint.drive.factors) == 1 and tree.joints[joint.name].find("mimic") is not None
+        for name in joint.drive.factors:
+            if name not in found:
+                found[name] = _column(name, joint.kind if mimics_one else tree.moves[name][1], tree)
+    return tuple(found.values())
+
+
+def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -> Column:
+    """Readings of a joint, with its limits."""
+    joint, path = tree.joints[name], tree.path
     lower, upper = -np.inf, np.inf
-    limit = driver.find("limit")
-    continuous = driver.get("type") == "continuous"
+    limit = joint.find("limit")
+    continuous = joint.get("type") == "continuous"
     if limit is not None and not continuous and (limit.get("lower") or limit.get("upper")):
         lower = float(numbers(limit, "lower", "0", 1, path, np.finfo(float).max)[0])
         upper = float(numbers(limit, "upper", "0", 1, path, np.finfo(float).max)[0])
         if lower > upper:
             raise RobotError(
-                f"{path}: joint {master!r}: its lower limit {lower:g} is above its upper limit {upper:g}: exchange them"
+                f"{path}: joint {name!r}: its lower limit {lower:g} is above its upper limit {upper:g}: exchange them"
             )
         # Some programs write 1e16, or the largest number that there is, for a joint without limits.
         lower, upper = (lower if lower > -LARGEST else -np.inf), (upper if upper < LARGEST else np.inf)
-    return Joint(
-        name, kind, axis, before, tree.origins[name], lower, upper, continuous, master, multiplier, offset, climbs
-    )
+    return Column(name, "continuous" if continuous else kind, lower, upper)

@@ -141,7 +141,7 @@ def lines_touch(
 def _stands_on(robot: Robot) -> tuple[int, pin.SE3]:
     """What stands on the base: the joint of the tree that moves it, 0 for none, and where the base is on that."""
     base = link_frame(robot, robot.base)
-    return (base.parentJoint, base.placement) if robot.climbs else (0, locked_placement(robot.tree, base))
+    return (base.parentJoint, base.placement) if robot.climbs else (0, locked_placement(robot, base))
 
 
 def _placements(robot: Robot, readings: np.ndarray) -> Iterator[tuple[pin.SE3, list[pin.SE3]]]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Robot, driven
+from aridcal.robot.drive import Drive
 
 # An axis whose other two components are smaller is one of its frame's own: the rounding of a written URDF.
 ON_AN_AXIS = 1e-9
@@ -97,7 +98,7 @@ def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
     """Walk the whole tree for N rows at once, nominal placements, the root's own frame first and parents before their children.
 
     Args:
-        robot: The chain; its readings drive the tree, and joints that are not measured stay at zero.
+        robot: The chain; its readings drive the tree, and joints that are neither measured nor stated stay at zero.
         readings: Shape (N, columns), [rad] or [m].
     """
     base = link_frame(robot, robot.base)
@@ -125,17 +126,18 @@ def _root_in_base(
     return R, p
 
 
-def _position(robot: Robot, readings: np.ndarray, k: int, still: Collection[int]) -> np.ndarray | None:
-    """Positions of a joint of the tree, shape (N,); None of one that stays at zero: it is to, or no reading moves it."""
-    joint = robot.tree.names[k]
-    master, multiplier, offset = robot.mimics.get(joint, (joint, 1.0, 0.0))
-    if k in still or master not in robot.readings or joint not in robot.moves:
+def _position(robot: Robot, readings: np.ndarray, k: int, still: Collection[int]) -> np.ndarray | float | None:
+    """Positions of a joint of the tree, shape (N,), or the one of all rows; None of one that stays at zero."""
+    joint, column = robot.tree.names[k], {name: number for number, name in enumerate(robot.readings)}
+    drive = robot.mimics.get(joint, Drive({joint: 1.0}))
+    known = drive.factors.keys() <= column.keys()
+    if not known or joint not in robot.moves or (k in still and drive.factors):
         return None
-    return np.asarray(multiplier * readings[:, robot.readings.index(master)] + offset)
+    return driven(drive, readings, column)
 
 
 def _moved(
-    axes: np.ndarray, origin: np.ndarray, axis: np.ndarray, kind: str, q: np.ndarray
+    axes: np.ndarray, origin: np.ndarray, axis: np.ndarray, kind: str, q: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""A frame after a joint's motion, from its axes (3, 3, N) and origin (3, N).
 
@@ -169,7 +171,7 @@ def _walk(
         robot: The chain.
         readings: Shape (N, columns), [rad] or [m].
         root: Its axes (3, 3, N) and origin (3, N).
-        still: Joints that stay at zero although they are measured.
+        still: Joints that stay at zero although they are measured; those that are stated to stand elsewhere do not.
     """
     model = robot.tree
     R, p = ({0: own} for own in root)
@@ -281,20 +283,40 @@ def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:
     return found
 
 
-def locked_placement(model: pin.Model, frame: pin.Frame) -> pin.SE3:
+def locked_placement(robot: Robot, frame: pin.Frame) -> pin.SE3:
     """Placement of a frame in the tree's root when no joint upstream moves."""
+    model = robot.tree
     placement, k = frame.placement, frame.parentJoint
     while k > 0:
+        drive = robot.mimics.get(model.names[k])
+        if drive is not None and not drive.factors:
+            placement = _motion(*robot.moves[model.names[k]], drive.offset) * placement
         placement, k = model.jointPlacements[k] * placement, model.parents[k]
     return placement
+
+
+def _motion(axis: np.ndarray, kind: str, q: float) -> pin.SE3:
+    """What a joint does, from its origin."""
+    return pin.SE3(np.eye(3), q * axis) if kind == "prismatic" else pin.SE3(pin.exp3(q * axis), np.zeros(3))
+
+
+def configuration(model: pin.Model, places: Mapping[str, float]) -> np.ndarray:
+    """Pinocchio's configuration with some joints where they are said to be, [rad] or [m], and all others at zero."""
+    q = pin.neutral(model)
+    for name, place in places.items():
+        joint = model.joints[model.getJointId(name)]
+        # Of joints that turn without end Pinocchio has cosine and sine.
+        q[joint.idx_q : joint.idx_q + joint.nq] = [np.cos(place), np.sin(place)] if joint.nq == 2 else place
+    return q
 
 
 def carried_bodies(robot: Robot) -> dict[str, pin.Inertia]:
     """Inertia carried by each joint of the chain: fixed links and locked side branches included."""
     tree = robot.tree.copy()
+    still = {name: drive.offset for name, drive in robot.mimics.items() if name in robot.moves and not drive.factors}
     for frame in tree.frames:  # Pinocchio looks for frames by name, and a link may have that of a joint
         if frame.type != pin.FrameType.JOINT:
             frame.name = f"{frame.name} {frame.type}"
     lock = [k for k in range(1, tree.njoints) if tree.names[k] not in robot.names]
-    reduced = pin.buildReducedModel(tree, lock, pin.neutral(tree))
+    reduced = pin.buildReducedModel(tree, lock, configuration(tree, still))
     return {name: reduced.inertias[reduced.getJointId(name)] for name in robot.names}

@@ -13,6 +13,7 @@ from lxml import etree
 
 from aridcal.errors import RobotError, nearest, shortened
 from aridcal.reading.names import check_name
+from aridcal.robot.drive import NOTHING, Drive, Loop, Stated, resolved
 
 MOVING: dict[str, Literal["revolute", "prismatic"]] = {
     "revolute": "revolute",
@@ -54,7 +55,7 @@ class UrdfTree:
         parent_of: The parent of each link but the root, and the joint between them.
         origins: Own ``<origin>`` of each joint.
         moves: Unit axis and kind of each moving joint.
-        mimics: For every joint that follows another: (master, multiplier, offset), resolved to the last master.
+        mimics: What moves every joint that follows others or stands still, resolved to the last masters.
     """
 
     urdf: bytes
@@ -64,18 +65,20 @@ class UrdfTree:
     parent_of: Mapping[str, tuple[str, etree._Element]]
     origins: Mapping[str, pin.SE3]
     moves: Mapping[str, tuple[np.ndarray, Literal["revolute", "prismatic"]]]
-    mimics: Mapping[str, tuple[str, float, float]]
+    mimics: Mapping[str, Drive]
 
 
-def read_tree(urdf: bytes, path: Path) -> UrdfTree:
+def read_tree(urdf: bytes, path: Path, stated: Stated = NOTHING) -> UrdfTree:
     """Read and check the tree of a URDF.
 
     Args:
         urdf: XML in any encoding that its declaration states.
         path: Whence it came, for messages.
+        stated: What the user says of joints that have no column.
 
     Raises:
-        RobotError: it is no URDF, is hostile (DTD, entities), is no tree, or deeper or larger than what can be computed.
+        RobotError: it is no URDF, is hostile (DTD, entities), is no tree, or deeper or larger than what can be computed;
+            or it has no such joints as are stated.
     """
     root = parse_xml(urdf, path)
     links = _link_names(root, path)
@@ -95,7 +98,11 @@ def read_tree(urdf: bytes, path: Path) -> UrdfTree:
     origins = {name: _origin(element, path) for name, element in joints.items()}
     kinds = {name: element.get("type", "") for name, element in joints.items()}
     moves = {name: (_axis(joints[name], path), MOVING[kind]) for name, kind in kinds.items() if kind in MOVING}
-    return UrdfTree(urdf, path, links, joints, parent_of, origins, moves, _mimics(joints, path))
+    mimics = _mimics(joints, path)
+    stated.check(joints, moves, mimics, str(path))
+    return UrdfTree(
+        urdf, path, links, joints, parent_of, origins, moves, _followed(mimics | stated.drives, stated, path)
+    )
 
 
 def parse_xml(urdf: bytes, path: Path) -> etree._Element:
@@ -260,9 +267,9 @@ def _axis(element: etree._Element, path: Path) -> np.ndarray:
     return axis / length
 
 
-def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, tuple[str, float, float]]:
-    """Every mimic joint's last master, with the multipliers and offsets on the way composed."""
-    direct: dict[str, tuple[str, float, float]] = {}
+def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, Drive]:
+    """What every ``<mimic>`` says."""
+    direct: dict[str, Drive] = {}
     for name, element in joints.items():
         mimic = element.find("mimic")
         if mimic is not None:
@@ -272,22 +279,24 @@ def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, tuple
                     f"{path}: joint {name!r} mimics {shortened(master)!r}, which is not in the file{nearest(master, joints)}"
                 )
             multiplier = float(numbers(mimic, "multiplier", "1", 1, path)[0])
-            direct[name] = (master, multiplier, float(numbers(mimic, "offset", "0", 1, path)[0]))
-    resolved: dict[str, tuple[str, float, float]] = {}
-    for first in direct:
-        followed: dict[str, None] = {}
-        name = first
-        while name in direct and name not in resolved:
-            if name in followed:
-                raise RobotError(f"{path}: joint {first!r} mimics itself, by way of {name!r}: delete one `<mimic>`")
-            followed[name] = None
-            name = direct[name][0]
-        for each in reversed(followed):
-            master, multiplier, offset = direct[each]
-            last, m, o = resolved.get(master, (master, 1.0, 0.0))
-            resolved[each] = (last, multiplier * m, offset + multiplier * o)
-            if not max(abs(multiplier * m), abs(offset + multiplier * o)) <= LARGEST:
-                raise RobotError(
-                    f"{path}: joint {each!r}: what it mimics multiplies beyond {LARGEST:g}: check `<mimic>`"
-                )
-    return resolved
+            direct[name] = Drive({master: multiplier}, float(numbers(mimic, "offset", "0", 1, path)[0]))
+    return direct
+
+
+def _followed(direct: Mapping[str, Drive], stated: Stated, path: Path) -> dict[str, Drive]:
+    """The drives of all joints without a column, with the factors and offsets on the way composed.
+
+    Raises:
+        RobotError: a joint follows itself, or numbers beyond all measure come out.
+    """
+    where = "`<mimic>` or an entry of `robot.coupled`" if stated.coupled else "`<mimic>`"
+    try:
+        found = resolved(direct)
+    except Loop as loop:
+        raise RobotError(
+            f"{path}: joint {loop.first!r} mimics itself, by way of {loop.by!r}: delete one {where}"
+        ) from None
+    for name, drive in found.items():
+        if not all(abs(number) <= LARGEST for number in (*drive.factors.values(), drive.offset)):
+            raise RobotError(f"{path}: joint {name!r}: what it mimics multiplies beyond {LARGEST:g}: check {where}")
+    return found

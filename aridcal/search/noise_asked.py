@@ -91,10 +91,8 @@ def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
     own = there(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
     found = [Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
-    joints, readings = model.robot.joints, model.robot.readings
-    driven = np.array([[j.multiplier * (j.reading == reading) for reading in readings] for j in joints])
-    moved = J @ driven
-    for k, (reading, kind) in enumerate(zip(readings, model.robot.kinds, strict=True)):
+    moved = J @ model.robot.factors
+    for k, (reading, kind) in enumerate(zip(model.robot.readings, model.robot.kinds, strict=True)):
         found.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
     turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
     if turning.sum() > 1:

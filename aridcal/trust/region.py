@@ -50,7 +50,10 @@ def region_of_table(campaign: Campaign, robot: Robot, path: Path, reach: Reach) 
         )
     by_joints = set(joints) <= names
     plain = settings.model_copy(update={"kind": "position"})
-    query = load_query(path, robot.readings, robot.limits, robot.kinds, plain, poses=not by_joints, limit=limit)
+    query = load_query(
+        path, robot.readings, robot.limits, robot.kinds, plain,
+        poses=not by_joints, stated=robot.stated.names, limit=limit,
+    )  # fmt: skip
     if query.refused:
         raise MeasurementError(f"{query.refused[0]}; mend the row, or delete it")
     if by_joints:

@@ -22,6 +22,7 @@ from aridcal.fit.problem import problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.robot.chain import Joint
 
 MOST_REGIONS = 28
 """One for each square of the report's strip."""
@@ -221,8 +222,18 @@ def _moved(final: Fit, rows: Dataset, by: tuple[str, ...], low: np.ndarray, high
         if joint is None:
             covariates[name] = values
         else:
-            readings[:, rows.names.index(joint.reading)] = (values - joint.offset) / joint.multiplier
+            _place(readings, joint, values, rows.names)
     return replace(some, readings=readings, covariates=covariates)
+
+
+def _place(readings: np.ndarray, joint: Joint, positions: np.ndarray, names: Sequence[str]) -> None:
+    """Write readings that bring a joint to positions, shape (N,): of several that move it the one that moves it most changes."""
+    factors = joint.drive.factors
+    if not factors:
+        return
+    most = max(factors, key=lambda name: abs(factors[name]))
+    others = sum(factor * readings[:, names.index(name)] for name, factor in factors.items() if name != most)
+    readings[:, names.index(most)] = (positions - joint.drive.offset - others) / factors[most]
 
 
 def _constants(final: Fit, around: Dataset) -> Fit:

@@ -105,7 +105,7 @@ class Wandering:
         readings: Shape (N, columns), [rad] or [m].
         low: Of what the calibration saw, shape (columns,).
         high: Likewise.
-        joints: Column of each joint's reading.
+        joints: Columns of the readings that move each joint: one as a rule, none of a joint that stands still.
         slides: Whether each joint does, shape (joints,) bool.
     """
 
@@ -113,7 +113,7 @@ class Wandering:
     readings: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    joints: tuple[int, ...]
+    joints: tuple[tuple[int, ...], ...]
     slides: np.ndarray
 
     def one_by_one(self) -> Iterator[tuple[float, Wandering]]:
@@ -144,11 +144,8 @@ class Wandering:
         to_mean = np.exp(-0.5 * (q[:, None] - nodes) ** 2).mean(axis=1)
         means = np.exp(-0.5 * (nodes[:, None] - nodes) ** 2).mean(axis=(0, 1))
         if process.over == "all":
-            whole, of_row, of_all = _kernel(q, q), to_mean.prod(axis=1), float(means.prod())
-            return np.repeat((whole - of_row[:, None] - of_row + of_all)[None], len(self.joints), axis=0)
-        return np.stack(
-            [_kernel(q[:, [c]], q[:, [c]]) - to_mean[:, c][:, None] - to_mean[:, c] + means[c] for c in self.joints]
-        )
+            return np.repeat(_less_mean(q, to_mean, means)[None], len(self.joints), axis=0)
+        return np.stack([_less_mean(q[:, own], to_mean[:, own], means[own]) for own in map(list, self.joints)])
 
 
 def wandering(
@@ -166,19 +163,31 @@ def wandering(
     return Wandering(tuple(processes), readings, low, high, *_joints(robot))
 
 
-def _joints(robot: Robot) -> tuple[tuple[int, ...], np.ndarray]:
-    """Column of each joint's reading, and whether it slides."""
+def _joints(robot: Robot) -> tuple[tuple[tuple[int, ...], ...], np.ndarray]:
+    """Columns of the readings that move each joint, and whether it slides."""
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints], dtype=bool)
-    return tuple(robot.readings.index(joint.reading) for joint in robot.joints), slides
+    return tuple(tuple(map(robot.readings.index, joint.drive.factors)) for joint in robot.joints), slides
 
 
-def units(low: np.ndarray, high: np.ndarray, slides: np.ndarray, joints: Sequence[int]) -> np.ndarray:
+def units(low: np.ndarray, high: np.ndarray, slides: np.ndarray, joints: Sequence[Sequence[int]]) -> np.ndarray:
     """What counts as a radian of each column of readings, shape (columns,)."""
     unit = np.ones(len(low))
-    for column, slide in zip(joints, slides.tolist(), strict=True):
-        if slide:
+    for own, slide in zip(joints, slides.tolist(), strict=True):
+        for column in own if slide else ():
             unit[column] = max(float(high[column] - low[column]) / TRAVEL, 1e-9)
     return unit
+
+
+def _less_mean(q: np.ndarray, to_mean: np.ndarray, means: np.ndarray) -> np.ndarray:
+    """Correlation (N, N) of rows at q, shape (N, d), less that of each with the mean over a range.
+
+    Args:
+        q: In lengths.
+        to_mean: Of each row with the mean over each column's range, shape (N, d).
+        means: Of the mean with itself, shape (d,).
+    """
+    of_row = to_mean.prod(axis=1)
+    return np.asarray(_kernel(q, q) - of_row[:, None] - of_row + float(means.prod()))
 
 
 def _kernel(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -295,17 +304,21 @@ class _Asked:
         return np.array(found)
 
 
-def _features(over: Over, length: float, q: np.ndarray, Z: np.ndarray, joints: Sequence[int]) -> np.ndarray:
+def _features(over: Over, length: float, q: np.ndarray, Z: np.ndarray, joints: Sequence[Sequence[int]]) -> np.ndarray:
     """What a process of unit sigma does to the rows, as columns of coefficients of unit variance, shape (N, m, d)."""
     found = []
+    some = np.random.default_rng(0).permutation(len(q))[:CENTRES]
     if over == "all":
-        some = np.random.default_rng(0).permutation(len(q))[:CENTRES]
         shared = _spanned(q / length, q[some] / length)
-    for j, column in enumerate(joints):
-        if over == "own":
-            own = q[:, [column]] / length
+    for j, moving in enumerate(map(list, joints)):
+        own = q[:, moving] / length
+        if over == "own" and len(moving) == 1:
             low, high = float(own.min()) - BEYOND, float(own.max()) + BEYOND
             shared = _spanned(own, np.linspace(low, high, int(np.ceil(high - low)) + 1)[:, None])
+        elif over == "own" and moving:
+            shared = _spanned(own, own[some])
+        elif over == "own":
+            continue  # where a joint stands is a constant
         found.append(Z[:, :, j, None] * shared[:, None, :])
     return np.concatenate(found, axis=2)
 

@@ -27,6 +27,7 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels
 from aridcal.reading.names import check_path
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.drive import NOTHING
 
 FEWEST = 3
 """Rows below which nothing is said: two poses cannot tell a turn of the base from one of a joint."""
@@ -152,6 +153,11 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
         raise CampaignError(
             f"{path}: robot.tip: {asked.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
         )
+    stated = saved.final.model.robot.stated
+    if asked.robot.stated not in (NOTHING, stated):
+        raise CampaignError(
+            f"{path}: robot.joints and robot.coupled: are not those that were calibrated; delete the key `robot`"
+        )
     for number, block in enumerate(asked.blocks):
         check_joints(
             block, f"{path}: {asked.place(number)}", saved.final.model.robot.readings, saved.final.model.robot.kinds
@@ -170,7 +176,9 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
     per = [name for name in ("world_base", "tip_target") if getattr(asked.frames, name).per is not None]
     if per:
         raise CampaignError(f"{path}: frames.{per[0]}.per: new rows have one frame each; delete this key")
-    return asked
+    return asked.model_copy(
+        update={"robot": asked.robot.model_copy(update={"joints": stated.joints, "coupled": stated.coupled})}
+    )
 
 
 def _own(saved: SavedModel, table: AnyTable) -> Campaign:
