@@ -6,7 +6,7 @@ at the geometric stage, never from the coefficients: a millimetre in a metre cha
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -42,32 +42,34 @@ def is_sight(name: str) -> bool:
 
 
 def sights_from(
-    robot: Robot,
     base: pin.SE3,
     targets: np.ndarray,
     things: Mapping[str, Mapping[str, np.ndarray]],
-    readings: np.ndarray,
-    tip: np.ndarray,
+    places: Callable[[], np.ndarray],
     plane: np.ndarray,
+    linked: Collection[str] = (),
 ) -> Sights:
-    """Where things are, from their places in the world frame.
+    """Where things are, from their places in the world frame, or on the links that carry them.
 
     Args:
-        robot: The nominal chain.
         base: T_world_base.
         targets: Place of each frame on the tip, shape (frames, 3), [m].
         things: States of anchors and planes, by the name of their role and their own.
-        readings: Of the rows, shape (N, columns), [rad] or [m].
-        tip: Number of each row's frame on the tip, shape (N,).
+        places: Gives the rows' places of the target in the base frame, shape (N, 3), [m]; asked only where there are planes.
         plane: Name of the plane over which each row measures, empty for none, shape (N,).
+        linked: Names of those that links carry.
     """
-    anchors = {name: base.actInv(state[:3]) for name, state in things.get("anchor", {}).items()}
+
+    def frame(name: str) -> pin.SE3:
+        return pin.SE3.Identity() if name in linked else base
+
+    anchors = {name: frame(name).actInv(state[:3]) for name, state in things.get("anchor", {}).items()}
     planes = things.get("plane", {})
     if not planes:
         return Sights(targets, anchors)
-    place = target_places(robot, readings, targets[tip])
+    place = places()
     plates = {
-        name: np.vstack([place[plane == name].mean(axis=0), np.array(along_plane(state[:3])) @ base.rotation])
+        name: np.vstack([place[plane == name].mean(axis=0), np.array(along_plane(state[:3])) @ frame(name).rotation])
         for name, state in planes.items()
         if np.any(plane == name)
     }

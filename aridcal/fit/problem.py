@@ -23,7 +23,7 @@ from aridcal.instruments.channels import Channels
 from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
 from aridcal.model.many_rows import starts, stretches
-from aridcal.model.measured import Measured, Slopes, States, located, measured
+from aridcal.model.measured import Measured, Slopes, States, located, measured, rows_of_data
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
@@ -262,7 +262,7 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    rows = model.rows(data.readings, data.conditions, data.station, data.target)
+    rows = rows_of_data(model, data)
     seen = measured(model, data)
     if seen is None:
         return Problem(model, data, rows, progress)
@@ -272,7 +272,7 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     names = model.robot.names
     ones = Basis("ones", (names[0],))
     wide = model.with_coefficients((*model.coefficients, *(Coefficient(name, "axis", ones) for name in names)))
-    at = wide.rows(data.readings, data.conditions, data.station, data.target)
+    at = rows_of_data(wide, data)
     return Problem(model, data, rows, progress, seen, groups(seen), states, (wide, at))
 
 

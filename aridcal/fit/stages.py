@@ -22,7 +22,7 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.instruments.pose import residuals
-from aridcal.model.measured import measured
+from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
@@ -281,9 +281,7 @@ def placement(settings: FrameSettings) -> pin.SE3:
 
 def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
-    some = thin(
-        found.model.rows(train.readings, None, train.station, train.target), max(RESTART_ROWS, 4 * len(found.theta))
-    )
+    some = thin(rows_of_data(found.model, train), max(RESTART_ROWS, 4 * len(found.theta)))
     part = problem(found.model, train.select(some), progress)
     weight = found.weight[some]
     prior = Prior(np.zeros(len(found.theta)), found.believed) if found.believed.any() else None

@@ -17,7 +17,7 @@ from aridcal.inputs.repeats import blocks, by_appearance, first_alike
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
 from aridcal.instruments.setup import Block, Instruments
-from aridcal.robot.chain import JointKind
+from aridcal.robot.chain import JointKind, Route
 
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
@@ -66,6 +66,8 @@ class Dataset:
         refers: Labels of the things that the row refers to, in the order of its kind's roles, shape (N, 3); empty where
             it has fewer roles.
         target: Label of the row's frame on the tip, shape (N,); None where there is one for all.
+        routes: The paths through the robot's tree that rows take.
+        route: Number of each row's path, shape (N,); None where all take the first.
         instruments: What is known beforehand of those things.
         derived: Covariates that no file holds: the side of approach, from the order of rows.
     """
@@ -99,6 +101,8 @@ class Dataset:
     observed: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     refers: np.ndarray = field(default_factory=lambda: np.zeros((0, ROLES), dtype=str))
     target: np.ndarray | None = None
+    routes: tuple[Route, ...] = (Route(),)
+    route: np.ndarray | None = None
     instruments: Instruments = field(default_factory=Instruments)
 
     def __len__(self) -> int:

@@ -23,6 +23,7 @@ class Things:
         free: Which components are identified, shape (L, u) bool.
         std: 1-sigma of what is known beforehand of each component, shape (L, u): infinite where nothing is, and where a
             component that is not free is exact.
+        linked: Names of those that a link of the robot carries: where they are is said in its frame, not in the world's.
     """
 
     role: Role
@@ -30,6 +31,7 @@ class Things:
     start: np.ndarray
     free: np.ndarray
     std: np.ndarray
+    linked: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return len(self.names)

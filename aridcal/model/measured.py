@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from aridcal.errors import MeasurementError
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
@@ -187,6 +188,23 @@ class Measured:
             now.append(role.moved(start, change) if moved else start)
             changes.append(change)
         return now, changes
+
+
+def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None) -> Rows:
+    """The rows of a data set as a model sees them; with other readings of their joints, shape (N, columns), if these are given.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that was not measured.
+        MeasurementError: a row's station or target is none of those that the model knows, or the model has not its path.
+    """
+    unknown = [route for route in data.routes if route not in model.routes]
+    if unknown:
+        start, end = (link or "the default" for link in unknown[0])
+        raise MeasurementError(f"{data.title}: no row of the calibration was measured from {start} to {end}")
+    number = np.array([model.routes.index(route) for route in data.routes])
+    route = None if len(model.routes) == 1 else number[np.zeros(len(data), int) if data.route is None else data.route]
+    at = data.readings if readings is None else readings
+    return model.rows(at, data.conditions, data.station, data.target, route)
 
 
 def measured(model: Model, data: Dataset) -> Measured | None:

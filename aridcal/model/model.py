@@ -13,14 +13,14 @@ from aridcal.effects.basis import evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.labels import label_columns
 from aridcal.effects.loads import Surroundings, covariate_table, needs
-from aridcal.effects.sights import is_sight, sight_table
+from aridcal.effects.sights import is_sight, sight_table, target_places
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.local import Local, local
 from aridcal.model.many_rows import stretches
 from aridcal.model.motions import motion, transform
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Robot, Route
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
@@ -39,18 +39,21 @@ class Rows:
         phi: Bases of the coefficients that are no constants, shape (N, varying). In memory rows run fastest, as in twists.
         world: Index of each row's ``world_base`` frame, shape (N,).
         tip: Index of each row's ``tip_target`` frame, shape (N,).
+        route: Index of the path that each row takes, shape (N,); None where all take one.
     """
 
     positions: np.ndarray
     phi: np.ndarray
     world: np.ndarray
     tip: np.ndarray
+    route: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.positions)
 
     def __getitem__(self, rows: slice | np.ndarray) -> Rows:
-        return Rows(self.positions[rows], self.phi.T[:, rows].T, self.world[rows], self.tip[rows])
+        route = None if self.route is None else self.route[rows]
+        return Rows(self.positions[rows], self.phi.T[:, rows].T, self.world[rows], self.tip[rows], route)
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,33 @@ class Locked:
 
 
 @dataclass(frozen=True)
+class _Arm:
+    """The chain of one path, as a model of its own.
+
+    Attributes:
+        model: Of that chain, with the coefficients that move it.
+        own: Which of the whole model's coefficients those are, shape (k,).
+        based: Which of the whole model's bases are theirs, shape (varying,) bool.
+        joints: Which of the robot's joints are on it, shape (j,).
+        columns: Which of the robot's columns drive them, shape (c,).
+        in_world: True if the path starts in the world.
+    """
+
+    model: Model
+    own: np.ndarray
+    based: np.ndarray
+    joints: np.ndarray
+    columns: np.ndarray
+    in_world: bool
+
+    def rows(self, rows: Rows, some: np.ndarray | slice = slice(None)) -> Rows:
+        """Some of the whole model's rows as this one sees them."""
+        world = rows.world[some] if self.in_world else np.zeros_like(rows.world[some])
+        phi = rows.phi.T[self.based][:, some].T
+        return Rows(rows.positions[some][:, self.joints], phi, world, rows.tip[some])
+
+
+@dataclass(frozen=True)
 class _OfFrames:
     """Constants that hold for one station each.
 
@@ -90,14 +120,17 @@ class _OfFrames:
 class Model:
     """Robot + frames + coefficients: target poses and their Jacobian.
 
+    Where rows take several paths through the robot's tree, "the world" of a row is where its path starts: the world, or a link.
+
     Attributes:
-        robot: The nominal chain.
+        robot: The nominal chain, or several limbs.
         coefficients: The unknowns, K of them; theta is their value.
         world_base: Start of T_world_base, for all rows (label None) or for each station.
         tip_target: Start of T_tip_target, likewise.
         around: Gravity, the payload's place and that of instruments, for what effects depend on.
         instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
         states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
+        routes: The paths that rows take.
     """
 
     robot: Robot
@@ -107,6 +140,7 @@ class Model:
     around: Surroundings = field(default_factory=Surroundings)
     instruments: Instruments = field(default_factory=Instruments)
     states: Mapping[str, np.ndarray] = field(default_factory=dict)
+    routes: tuple[Route, ...] = (Route(),)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -128,6 +162,7 @@ class Model:
         covariates: Mapping[str, np.ndarray] | None = None,
         station: np.ndarray | None = None,
         target: np.ndarray | None = None,
+        route: np.ndarray | None = None,
     ) -> Rows:
         """Prepare measured configurations.
 
@@ -136,6 +171,7 @@ class Model:
             covariates: Columns that the bases depend on, each of shape (N,).
             station: Label of each row; needed where a frame is per station.
             target: Label of each row's target, where there are several.
+            route: Number of each row's path among ``routes``; default: the first.
 
         Raises:
             CovariateNotFound: an effect depends on a column that was not measured.
@@ -153,19 +189,48 @@ class Model:
         table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
         if any(map(is_sight, wanted)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
-            table |= sight_table(self.robot, readings, self.around.sights, gravity, tip)
+            table |= self._sights(readings, gravity, tip, route)
         phi = np.empty((len(varying), n)).T
         for k, c in enumerate(varying):
             phi[:, k] = evaluate(c.basis, table)
             if c.station is not None:
                 phi[:, k] *= _labels(at_tip if c.where == "tip_target" else station, n) == c.station
-        return Rows(self.robot.positions(readings), phi, world, tip)
+        return Rows(self.robot.positions(readings), phi, world, tip, route)
+
+    def _sights(
+        self, readings: np.ndarray, gravity: np.ndarray, tip: np.ndarray, route: np.ndarray | None
+    ) -> dict[str, np.ndarray]:
+        """Covariates of places, shape (N,) each: where each row's own path starts, of the target at its end."""
+        found: dict[str, np.ndarray] = {}
+        for arm, some in self._by_arm(len(readings), route):
+            down = gravity if arm.in_world else np.zeros(3)  # nobody says how wires hang that a limb carries
+            own = sight_table(arm.model.robot, readings[some][:, arm.columns], self.around.sights, down, tip[some])
+            for name, values in own.items():
+                found.setdefault(name, np.zeros(len(readings)))[some] = values
+        return found
+
+    def target_places(self, rows: Rows, readings: np.ndarray) -> np.ndarray:
+        """Places of the targets of rows, the arm nominal, in the base's frame or that of the link where their paths start.
+
+        Args:
+            rows: N of them.
+            readings: Theirs, shape (N, columns), [rad] or [m].
+
+        Returns:
+            Shape (N, 3), [m].
+        """
+        found, targets = np.empty((len(rows), 3)), self.around.sights.targets[rows.tip]
+        for arm, some in self._by_arm(len(rows), rows.route):
+            found[some] = target_places(arm.model.robot, readings[some][:, arm.columns], targets[some])
+        return found
 
     def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
-        if self.at_things.any():
-            return self._arm.poses(theta[~self.at_things], self._of_arm(rows))
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
+        if self._divided:
+            for arm, some in self._by_arm(len(rows), rows.route):
+                R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
+            return R, p
         for index, world, tip in self._variants(rows):
             for part in stretches(index, len(rows)):
                 R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
@@ -184,9 +249,11 @@ class Model:
             The poses, as :meth:`poses`, and the twists of the target at its own origin in world axes, shape (N, 6, K):
             linear [m], then angular [rad], per unit of each coefficient.
         """
-        if self.at_things.any():
-            J = np.zeros((len(rows), 6, len(theta)))
-            R, p, J[:, :, ~self.at_things] = self._arm.jacobian(theta[~self.at_things], self._of_arm(rows))
+        if self._divided:
+            R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, len(theta)))
+            for arm, some in self._by_arm(len(rows), rows.route):
+                R[some], p[some], own = arm.model.jacobian(theta[arm.own], arm.rows(rows, some))
+                J[_at(some, arm.own)] = own
             return R, p, J
         R, p, twists = self.motions(theta, rows)
         return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
@@ -204,8 +271,13 @@ class Model:
 
     def by_readings(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that readings cause while effects stay as they are, (N, 6, columns)."""
-        if self.at_things.any():
-            return self._arm.by_readings(theta[~self.at_things], self._of_arm(rows))
+        if self._divided:
+            R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
+            J = np.zeros((len(rows), 6, len(self.robot.readings)))
+            for arm, some in self._by_arm(len(rows), rows.route):
+                R[some], p[some], own = arm.model.by_readings(theta[arm.own], arm.rows(rows, some))
+                J[_at(some, arm.columns)] = own
+            return R, p, J
         R, p, twists = self.motions(theta, rows)
         return R, p, twists[:, :, self._extended.own] @ self.robot.factors
 
@@ -224,8 +296,9 @@ class Model:
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
         """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
-        if self.at_things.any():
-            return self._arm.origins(theta[~self.at_things])
+        if self._divided:
+            limbs = [self._arm_of(Route(None, limb.tip)) for limb in reversed(self.robot.limbs)]
+            return {name: T for arm in limbs for name, T in arm.model.origins(theta[arm.own]).items()}
         value = self._constant_values(theta)
         robot = self.robot
         before = {j.name: j.before for j in robot.joints} | {str(robot.tip_joint): robot.tip_before}
@@ -277,10 +350,11 @@ class Model:
         Raises:
             MeasurementError: the station is none of those that the model knows.
         """
-        if self.at_things.any():
-            locked = self._arm.locked(theta[~self.at_things], station)
+        if self._divided:
+            arm = self._arm_of(Route())
+            locked = arm.model.locked(theta[arm.own], station)
             carrier = np.full(len(theta), -1)
-            carrier[~self.at_things] = locked.carrier
+            carrier[arm.own] = locked.carrier
             return replace(locked, carrier=carrier)
         label = None if station is None else np.array([station])
         world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
@@ -313,14 +387,39 @@ class Model:
         return size
 
     @cached_property
-    def _arm(self) -> Model:
-        """The model without those: they do not move the target."""
-        arm = [c for c, apart in zip(self.coefficients, self.at_things, strict=True) if not apart]
-        return replace(self, coefficients=tuple(arm), instruments=Instruments(), states={})
+    def _divided(self) -> bool:
+        """True if rows take several paths, or coefficients move no target: then chains are models of their own."""
+        return bool(self.at_things.any()) or self.routes != (Route(),) or bool(self.robot.others)
 
-    def _of_arm(self, rows: Rows) -> Rows:
-        """The rows as the model without them sees them."""
-        return replace(rows, phi=rows.phi.T[~self.at_things[self._based]].T)
+    @cached_property
+    def _arms(self) -> tuple[_Arm, ...]:
+        """The chain of each path."""
+        return tuple(map(self._arm_of, self.routes))
+
+    def _arm_of(self, route: Route) -> _Arm:
+        """The chain of a path."""
+        robot = self.robot
+        chain = robot.between(*route) if robot.others or route != Route() else robot
+        places = {*chain.names, str(chain.tip_joint), "tip_target"} | ({"world_base"} if route.start is None else set())
+        own = np.flatnonzero([c.where in places for c in self.coefficients])
+        base = self.world_base if route.start is None else ONE_FRAME
+        model = Model(chain, tuple(self.coefficients[k] for k in own), base, self.tip_target, self.around)
+        joints, columns = {n: k for k, n in enumerate(robot.names)}, {n: k for k, n in enumerate(robot.readings)}
+        return _Arm(
+            model=model,
+            own=own,
+            based=np.isin(self._based, own),
+            joints=np.array([joints[name] for name in chain.names], dtype=int),
+            columns=np.array([columns[name] for name in chain.readings], dtype=int),
+            in_world=route.start is None,
+        )
+
+    def _by_arm(self, n: int, route: np.ndarray | None) -> list[tuple[_Arm, slice | np.ndarray]]:
+        """The chains, and which of n rows take each."""
+        if route is None or len(self.routes) == 1:
+            return [(self._arms[0], slice(0, n))]
+        pairs = [(arm, np.flatnonzero(route == k)) for k, arm in enumerate(self._arms)]
+        return [(arm, some) for arm, some in pairs if len(some)]
 
     @cached_property
     def _extended(self) -> ExtendedModel:
@@ -330,7 +429,7 @@ class Model:
     @cached_property
     def local(self) -> Local | None:
         """Which coefficients act in few rows; None where a column for each of them is quicker."""
-        return None if self.at_things.any() else local(self.coefficients, self._extended.carrier)
+        return None if self._divided else local(self.coefficients, self._extended.carrier)
 
     @cached_property
     def _varying(self) -> np.ndarray:
@@ -389,6 +488,11 @@ class Model:
     def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
         pairs = zip(self._extended.slots, self.coefficients, strict=True)
         return {slot: float(theta[k]) for k, (slot, c) in enumerate(pairs) if c.basis.constant}
+
+
+def _at(rows: slice | np.ndarray, columns: np.ndarray) -> tuple[slice | np.ndarray, ...]:
+    """What picks some rows and columns of an array of shape (N, 6, columns)."""
+    return (rows, slice(None), columns) if isinstance(rows, slice) else np.ix_(rows, np.arange(6), columns)
 
 
 def _labels(station: np.ndarray | None, n: int) -> np.ndarray:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from aridcal.effects.sights import Sights, sights_from
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
+from aridcal.model.measured import rows_of_data
 from aridcal.model.model import Model
 
 
@@ -24,10 +27,11 @@ def sights_of(model: Model, train: Dataset) -> Sights:
     for role, every in model.instruments.things.items():
         states = model.states.get(role, every.start)
         things[role] = {n: state for n, state in zip(every.names, states, strict=True) if np.isfinite(state).all()}
-    tip = model.rows(train.readings, train.conditions, train.station, train.target).tip
-    return sights_from(
-        model.robot, model.world_base[0][1], targets, things, train.readings, tip, labels_of(train, "plane")
-    )
+    there = replace(model, around=replace(model.around, sights=Sights(targets)))
+    rows = rows_of_data(model, train)
+    places = partial(there.target_places, rows, train.readings)
+    linked = {name for every in model.instruments.things.values() for name in every.linked}
+    return sights_from(model.world_base[0][1], targets, things, places, labels_of(train, "plane"), linked)
 
 
 def references(rows: Dataset) -> Iterator[tuple[str, str, np.ndarray]]:

@@ -13,6 +13,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.inclination import DOWN, INCLINED
 from aridcal.instruments.pixels import PIXELS, ends_of_sight, faces, in_image
+from aridcal.model.measured import rows_of_data
 from aridcal.model.reaching import Miss, brought, draw_readings, off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.clearance import clear, unobstructed
@@ -117,7 +118,7 @@ def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> D
     if not made.blocks or kind not in (*OF_TARGETS, INCLINED.name):
         return made
     # turns are compared with what was seen
-    R, p = known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
+    R, p = known.model.poses(known.theta, rows_of_data(known.model, made, readings))
     seen = np.swapaxes(R, 1, 2) @ DOWN if kind == INCLINED.name else np.hstack([p, R.reshape(-1, 9)])
     return replace(made, observed=_as_wide(seen, made.observed.shape[1]))
 
@@ -132,13 +133,13 @@ def _as_wide(values: np.ndarray, width: int) -> np.ndarray:
 def targets_of(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the world, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
     made = known.patterns.select(pattern)
-    return known.model.poses(known.theta, known.model.rows(readings, made.conditions, made.station, made.target))
+    return known.model.poses(known.theta, rows_of_data(known.model, made, readings))
 
 
 def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the robot's base, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
     made = known.patterns.select(pattern)
-    rows = known.model.rows(readings, made.conditions, made.station, made.target)
+    rows = rows_of_data(known.model, made, readings)
     R, p = known.model.poses(known.theta, rows)
     base = [known.model.frames(known.theta)[0][k][1] for k in rows.world.tolist()]
     turn = np.array([frame.rotation for frame in base]).reshape(-1, 3, 3)
@@ -283,6 +284,6 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
 def _to_base(known: Beforehand, pattern: int, at: np.ndarray) -> np.ndarray:
     """Places in the world as the base of a pattern's station has them, shape (n, 3), [m]."""
     made = known.patterns.select(np.array([pattern]))
-    world = known.model.rows(made.readings, made.conditions, made.station, made.target).world[0]
+    world = rows_of_data(known.model, made).world[0]
     frame = known.model.frames(known.theta)[0][world][1]
     return np.asarray((at - frame.translation) @ frame.rotation)

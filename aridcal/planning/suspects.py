@@ -14,6 +14,7 @@ from aridcal.effects.kinds import Observed
 from aridcal.errors import CampaignError, nearest
 from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.measured import rows_of_data
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
 from aridcal.search.diagnose import look
@@ -87,7 +88,7 @@ def with_usual_effects(known: Beforehand, offered: Candidates) -> Beforehand:
     for kind, coefficients in _usual(observed, set(diagnosis.candidates), str(known.campaign.path)):
         new = tuple(c for c in coefficients if c not in known.model.coefficients)
         wide = known.model.with_coefficients(new)
-        phi = wide.rows(rows.readings, rows.conditions, rows.station, rows.target).phi
+        phi = rows_of_data(wide, rows).phi
         size = np.sqrt(np.mean(phi**2, axis=0))
         known = known.with_coefficients(new, USUAL[kind] / np.where(size > 0.0, size, 1.0))
         taken[kind] = None

@@ -11,6 +11,7 @@ from aridcal.fit.elimination import Groups
 from aridcal.fit.identifiable import identifiable
 from aridcal.fit.problem import Problem, agreed, problem
 from aridcal.instruments.channels import spread
+from aridcal.model.measured import rows_of_data
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
 from aridcal.trust.workspace import shifted
@@ -170,7 +171,7 @@ def target_columns(
         parts: Coefficients of the model; the target moved by each of these sets alone, one after the other. None: by all.
     """
     made = known.patterns.select(np.full(len(readings), pattern))
-    rows = known.model.rows(readings, made.conditions, made.station, made.target)
+    rows = rows_of_data(known.model, made, readings)
     R, _, J = known.model.jacobian(known.theta, rows)
     tool = np.array(known.campaign.region.tool)
     J = shifted(J, R @ tool) if tool.any() else J

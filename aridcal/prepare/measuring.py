@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.loads import Surroundings
-from aridcal.effects.sights import sights_from
+from aridcal.effects.sights import sights_from, target_places
 from aridcal.errors import CampaignError
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.orientations import POSITION, QUATERNION
@@ -305,7 +306,9 @@ def _with_effects(
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
     for _ in range(PASSES if touching and truth.effects else 1):
         readings = np.concatenate([each.readings for each in rows])
-        sights = sights_from(robot, machine.world, targets, states, readings, tip, plane)
+        sights = sights_from(
+            machine.world, targets, states, partial(target_places, robot, readings, targets[tip]), plane
+        )
         around = replace(around, sights=sights)
         of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
         columns = {name: values[shot] for name, values in of_shots.items()}

@@ -29,6 +29,7 @@ from aridcal.fit.residual import eliminated
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import spread
+from aridcal.model.measured import rows_of_data
 from aridcal.search.noise_tests import SURE
 
 STANDARD = 9.81
@@ -86,7 +87,7 @@ def _loads(fit: Fit, rows: Dataset) -> dict[tuple[str, int], np.ndarray]:
     """The load on each joint under gravity along each axis of the base, of joints that bear any."""
     model = fit.model
     payload = {"payload": rows.covariates["payload"]} if model.around.loaded else {}
-    world = model.rows(rows.readings, None, rows.station, rows.target).world
+    world = rows_of_data(model, rows).world
     tables = []
     for axis in np.eye(3):
         around = replace(model.around, gravity=STANDARD * axis)

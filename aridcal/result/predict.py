@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.labels import STATION, label_in
 from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_label
-from aridcal.effects.sights import target_places
 from aridcal.errors import MeasurementError
 from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
@@ -456,5 +455,4 @@ def _far(saved: SavedModel, query: QueryRows, known: np.ndarray) -> np.ndarray:
         return np.zeros(len(readings), dtype=bool)
     station = None if query.station is None else query.station[known]
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    tip = model.rows(readings, covariates, station).tip
-    return far_from_nodes(bases, target_places(model.robot, readings, model.around.sights.targets[tip]))
+    return far_from_nodes(bases, model.target_places(model.rows(readings, covariates, station), readings))

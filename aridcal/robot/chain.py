@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -77,6 +77,9 @@ class Robot:
 
     ``T_base_tip = prod(onward[k] * motion(q_k)) * onward[-1]``, each motion along ``joint.along``.
 
+    A robot of several limbs has the joints of all of them, each once; what asks for a chain asks one of its ``limbs``, or the
+    path :meth:`between` two links.
+
     Attributes:
         urdf: The file's own bytes.
         path: Where they came from; meshes are found from here.
@@ -91,6 +94,7 @@ class Robot:
         mimics: What moves every joint of the tree that follows others or stands still, resolved to the last masters.
         packages: Where the user says that packages of ROS are, which its meshes are in.
         stated: What the user says of joints that have no column.
+        others: Chains from the base to further links that rows refer to; none of a robot of one limb.
     """
 
     urdf: bytes
@@ -106,6 +110,29 @@ class Robot:
     mimics: Mapping[str, Drive] = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
     stated: Stated = NOTHING
+    others: tuple[Robot, ...] = ()
+
+    @cached_property
+    def main(self) -> Robot:
+        """The chain base -> tip alone."""
+        return self if not self.others else self.between(None, None)
+
+    @property
+    def limbs(self) -> tuple[Robot, ...]:
+        """Chains from the base: to the tip, and to further links that rows refer to."""
+        return (self.main, *self.others)
+
+    def between(self, start: str | None, end: str | None) -> Robot:
+        """The path from one link, default the base, to another, default the tip: a chain of its own."""
+        pair = start or self.base, end or self.tip
+        if pair not in self._paths:
+            made = chain(read_tree(self.urdf, self.path, self.stated), pair[1], pair[0], still=True)
+            self._paths[pair] = replace(made, packages=self.packages, stated=self.stated)
+        return self._paths[pair]
+
+    @cached_property
+    def _paths(self) -> dict[tuple[str, str], Robot]:
+        return {}
 
     @property
     def readings(self) -> tuple[str, ...]:
@@ -240,8 +267,42 @@ def same_chain(robot: Robot, urdf: bytes) -> Robot:
     return parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
 
 
-def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
-    """The path base -> tip through a tree.
+class Route(NamedTuple):
+    """Which path rows take: from what carries the instrument to what carries the target.
+
+    Attributes:
+        start: A link; None for the world, which is where ``world_base`` has it on the base.
+        end: A link; None for the robot's tip.
+    """
+
+    start: str | None = None
+    end: str | None = None
+
+
+def with_limbs(robot: Robot, routes: Sequence[Route]) -> Robot:
+    """The same robot with the joints of all paths that rows take.
+
+    What an instrument on a link sees tells nothing of that link's own fixed joint beside its own place there: no limb to such a
+    link has a ``tip_joint``.
+
+    Raises:
+        RobotError: a link is not there, or no joint is between the two ends of a route.
+    """
+    starts = {route.start for route in routes} - {None}
+    for route in routes:
+        chain(read_tree(robot.urdf, robot.path, robot.stated), route.end or robot.tip, route.start or robot.base)
+    links = dict.fromkeys(
+        link for route in routes for link in (route.end, route.start) if link not in (None, robot.tip)
+    )
+    others = [robot.between(None, link) for link in links]
+    limbs = [replace(limb, tip_joint=None) if limb.tip in starts else limb for limb in (robot.main, *others)]
+    joints = {joint.name: joint for limb in reversed(limbs) for joint in limb.joints}
+    order = dict.fromkeys(joint.name for limb in limbs for joint in limb.joints)
+    return replace(limbs[0], joints=tuple(joints[name] for name in order), others=tuple(limbs[1:]))
+
+
+def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False) -> Robot:
+    """The path base -> tip through a tree, on which a joint must move unless it may stand still.
 
     Raises:
         RobotError: a link is not there, or something else than serial joints is on the path.
@@ -274,7 +335,7 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None) -> Robot:
                 "revolute, continuous, prismatic and fixed joints can be calibrated. Make it one of these, or choose another "
                 "`robot.tip`"
             )
-    if not joints:
+    if not joints and not still:
         raise RobotError(
             f"{path}: no joint moves between {start!r} and {tip!r}: nothing to calibrate; set `robot.tip` to the arm's "
             "other end"

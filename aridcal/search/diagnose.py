@@ -22,6 +22,7 @@ from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
+from aridcal.model.measured import rows_of_data
 from aridcal.model.model import Model
 from aridcal.model.standing import references
 from aridcal.search.confounded import twins
@@ -359,7 +360,7 @@ def _exchanged(before: State, after: State) -> bool:
 def _thinned(every: Start) -> Start:
     """Enough rows to search with."""
     geometric, train = every.geometric, every.train
-    rows = geometric.model.rows(train.readings, train.conditions, train.station, train.target)
+    rows = rows_of_data(geometric.model, train)
     some = thin(rows, SEARCHED)
     if len(some) == len(train):
         return every
@@ -440,7 +441,7 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.derived}
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
-    frames = model.rows(rows.readings, None, rows.station, rows.target)
+    frames = rows_of_data(model, rows)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     payload = rows.covariates.get("payload")
     if payload is not None and not np.isnan(payload).any():

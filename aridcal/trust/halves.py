@@ -34,6 +34,7 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import across, pseudo_inverse, told
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
+from aridcal.model.measured import rows_of_data
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.columns import Columns, columns_of
 
@@ -158,7 +159,7 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
 def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
     """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings."""
     model = fit.model
-    world = model.rows(rows.readings, rows.conditions, rows.station, rows.target).world
+    world = rows_of_data(model, rows).world
     table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
     return {name: values for name, values in table.items() if GRAVITY in name}
 

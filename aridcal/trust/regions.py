@@ -15,13 +15,14 @@ from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
 from aridcal.effects.labels import label_in
 from aridcal.effects.regional_kind import IN_SPACE, is_of_labels, labels_of, spread_out
-from aridcal.effects.sights import TARGET, target_places
+from aridcal.effects.sights import TARGET
 from aridcal.fit.least_squares import Fit, fit, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.model.measured import rows_of_data
 from aridcal.robot.chain import Joint
 
 MOST_REGIONS = 28
@@ -161,8 +162,8 @@ def _of_labels(final: Fit, rows: Dataset, fitted: np.ndarray) -> Regions:
     """A region for each label that deviates, and, if frames are the same for all labels, one for any other."""
     assert rows.station is not None
     known = [label_in(name) for name in labels_of(c.basis for c in final.model.coefficients)]
-    at = final.model.rows(rows.readings, rows.conditions, rows.station, rows.target)
-    places = target_places(final.model.robot, rows.readings, final.model.around.sights.targets[at.tip])
+    at = rows_of_data(final.model, rows)
+    places = final.model.target_places(at, rows.readings)
     nothing = np.zeros(0)
     apart = len(final.model.world_base) > 1 or (rows.target is None and len(final.model.tip_target) > 1)
     every = []
@@ -181,7 +182,7 @@ def _of_labels(final: Fit, rows: Dataset, fitted: np.ndarray) -> Regions:
 
 def _places(fit: Fit, rows: Dataset) -> np.ndarray:
     """Where a model has the targets, shape (N, 3), [m]."""
-    return fit.model.poses(fit.theta, fit.model.rows(rows.readings, rows.conditions, rows.station, rows.target))[1]
+    return fit.model.poses(fit.theta, rows_of_data(fit.model, rows))[1]
 
 
 def _noise(final: Fit, rows: Dataset) -> list[float]:
@@ -194,8 +195,8 @@ def _told_apart(final: Fit, rows: Dataset, effects: Sequence[Effect]) -> tuple[t
     """Covariates by which regions are told apart, and their values, shape (N, d): the place, if anything depends on that."""
     model = final.model
     if any(e.by == IN_SPACE for e in effects):
-        at = model.rows(rows.readings, rows.conditions, rows.station, rows.target)
-        return TARGET, target_places(model.robot, rows.readings, model.around.sights.targets[at.tip])
+        at = rows_of_data(model, rows)
+        return TARGET, model.target_places(at, rows.readings)
     by = tuple(dict.fromkeys(str(e.by) for e in effects))
     known = dict(zip(model.robot.names, model.robot.positions(rows.readings).T, strict=True)) | rows.conditions
     return by, np.column_stack([known[name] for name in by])
@@ -212,9 +213,7 @@ def _middles(different: np.ndarray, count: int) -> np.ndarray:
 
 def _moved(final: Fit, rows: Dataset, by: tuple[str, ...], low: np.ndarray, high: np.ndarray) -> Dataset:
     """Postures of all regions as the arm would take them in one: readings and columns that tell them apart between two values."""
-    some = rows.select(
-        thin(final.model.rows(rows.readings, rows.conditions, rows.station, rows.target), 2 * ROWS_AROUND)
-    )
+    some = rows.select(thin(rows_of_data(final.model, rows), 2 * ROWS_AROUND))
     share = np.random.default_rng(0).uniform(size=(len(some), len(by)))
     readings, covariates = some.readings.copy(), dict(some.covariates)
     for name, values in zip(by, (low + share * (high - low)).T, strict=True):
@@ -241,7 +240,7 @@ def _constants(final: Fit, around: Dataset) -> Fit:
 
     Where the base seems to stand elsewhere in a region, the first joint's origin takes that up: frames are the same for all.
     """
-    at = final.model.rows(around.readings, around.conditions, around.station, around.target)
+    at = rows_of_data(final.model, around)
     R, p = final.model.poses(final.theta, at)
     robot = final.model.robot
     sigma = _noise(final, around)

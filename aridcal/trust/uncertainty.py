@@ -13,6 +13,7 @@ from aridcal.fit.problem import BLOCK, Problem, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
+from aridcal.model.measured import rows_of_data
 from aridcal.model.model import Rows
 from aridcal.showing import SILENT, Progress
 
@@ -41,9 +42,7 @@ class Precision:
 
 def precision(fit: Fit, train: Dataset) -> Precision:
     """Propagate the noise to the target."""
-    position, rotation = target_sigma(
-        fit, fit.model.rows(train.readings, train.conditions, train.station, train.target)
-    )
+    position, rotation = target_sigma(fit, rows_of_data(fit.model, train))
     return Precision(position, rotation)
 
 

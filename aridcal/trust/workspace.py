@@ -22,7 +22,6 @@ import numpy as np
 
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.regional_kind import far_from_nodes
-from aridcal.effects.sights import target_places
 from aridcal.fit.constants import has_world, measures_target
 from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.noise import carried
@@ -31,6 +30,7 @@ from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.many_rows import few, stretches
+from aridcal.model.measured import rows_of_data
 from aridcal.model.model import Model, Rows
 from aridcal.trust.seen import CHANNELS, Seen, holes, largest
 
@@ -181,7 +181,7 @@ class Knowledge:
         measured, told = ~self.seen.beyond(columns, std), unknown < TOLD
         fields = [c.basis for c in model.coefficients if c.basis.form == "ball"]
         if fields:
-            nominal = target_places(model.robot, readings, model.around.sights.targets[rows.tip])
+            nominal = model.target_places(rows, readings)
             measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
 
@@ -335,7 +335,7 @@ def _up_to(frames: Sequence[str], known: Knowledge, train: Dataset) -> Knowledge
     model, count = known.fit.model, len(known.fit.theta)
     some = np.unique(np.linspace(0, len(train) - 1, ASKED).round().astype(int))
     part = train.select(some)
-    rows = model.rows(part.readings, part.conditions, part.station, part.target)
+    rows = rows_of_data(model, part)
     rigid = [Coefficient(frame, component) for frame in frames for component in FRAME_COMPONENTS]
     moved = model.with_coefficients((*model.coefficients, *rigid))
     _, _, J = moved.jacobian(np.append(known.fit.theta, np.zeros(len(rigid))), rows)
@@ -356,7 +356,7 @@ def _seen(fit: Fit, train: Dataset) -> Seen:
     model = fit.model
     columns = dict(zip(model.robot.readings, used.readings.T, strict=True))
     columns |= {name: used.conditions[name] for name in model.needs}
-    rows = model.rows(used.readings, used.conditions, used.station, used.target)
+    rows = rows_of_data(model, used)
     rows = rows[thin(rows, ENOUGH)]
     std = target_std(model, fit.theta, fit.covariance, rows)
     if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
