@@ -131,11 +131,13 @@ class Calibration:
         except (KeyError, TypeError, AttributeError) as error:
             raise AridcalError(f"{path}: is damaged ({shortened(repr(error))}). Run identify again") from None
 
-    def predict(self, queries: AnyTable) -> pd.DataFrame:
-        """Tell where the real target is for each row of joint readings.
+    def predict(self, queries: AnyTable, of: str | None = None, within: str | None = None) -> pd.DataFrame:
+        """Tell where the real target is for each row of joint readings, or a link of the robot.
 
         Args:
             queries: A column for each joint and each covariate that an effect depends on.
+            of: Link of the URDF whose pose is wanted; None: the target's.
+            within: Link in whose frame that is; None: in the world's.
 
         Returns:
             The same rows and columns with the target's pose, its standard deviations ``std_x`` to ``std_rz``, and
@@ -146,8 +148,9 @@ class Calibration:
         """
         with working() as progress:
             progress("predicting")
-            query = read_query(self.model, queries)
-            table = predict(self.model, query)
+            asked = self.model if of is None else self.model.of_link(of, within)
+            query = read_query(asked, queries)
+            table = predict(asked, query)
         _warn(query)
         return _with_numbers(table)
 

@@ -10,6 +10,8 @@ the cause of an effect from others, a step in time from one in a joint's reading
 `extrapolates` is true where a joint or a covariate is outside the calibrated range or in a hole of what was measured, and where
 the pose is three times as uncertain as at any calibrated row. A row with an empty joint gets no pose; a word in its place, or a
 hole in a covariate that an effect depends on, is an error.
+`--of LINK` gives the pose of another link of the URDF, `--in LINK` in the frame of one: of the calibrated robot with its effects.
+The table then also needs the joints on the way there; with one that was not calibrated, `extrapolates` is true.
 Where the calibration has something that no reading told, `told` is false in rows that it may move by more than 10 mm or 10 mrad.
 
 Example:
@@ -28,7 +30,7 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import OutputError
+from aridcal.errors import CampaignError, OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.predict import predict, read_queries
@@ -48,6 +50,10 @@ def parser() -> CommandParser:
     arguments.add_argument("query", type=path_argument, help="joint readings (and covariates), .csv or .parquet")
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, help="where to write them with their poses, .csv or .parquet"
+    )
+    arguments.add_argument("--of", metavar="LINK", help="the pose of this link of the URDF in place of the target's")
+    arguments.add_argument(
+        "--in", metavar="LINK", dest="inside", help="with --of: in this link's frame, not in the world's"
     )
     for_scripts(arguments)
     return arguments
@@ -69,7 +75,11 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _predict(arguments: argparse.Namespace) -> None:
+    if arguments.inside is not None and arguments.of is None:
+        raise CampaignError("--in says in which link's frame; name the link whose pose is wanted: --of LINK")
     calibration = SavedModel.load(arguments.calibration)
+    if arguments.of is not None:
+        calibration = calibration.of_link(arguments.of, arguments.inside)
     answered = Answered(calibration.measurements.columns.get("x", "x"))
     _, aside = screens(arguments)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:

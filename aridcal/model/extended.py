@@ -23,7 +23,7 @@ import pinocchio as pin
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
 from aridcal.model.many_rows import MANY, Stepped, stepped, twists, walked
 from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
-from aridcal.robot.chain import Joint, Robot
+from aridcal.robot.chain import Fixed, Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
 from aridcal.robot.kinematics import carried_bodies
 
@@ -78,12 +78,16 @@ class Step(NamedTuple):
         slot: The joint; None where a joint's own ``<origin>`` ends.
         motion: Of that joint.
         origin: Name of the joint whose ``<origin>`` ends here; empty where there is a joint instead.
+        before: Fixed joints between the origin that ended last and this one.
+        climbs: True where the path goes through this origin upwards.
     """
 
     placement: pin.SE3
     slot: Slot | None = None
     motion: Motion | None = None
     origin: str = ""
+    before: pin.SE3 = pin.SE3.Identity()
+    climbs: bool = False
 
 
 def own_slot(name: str) -> Slot:
@@ -116,7 +120,7 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     corrected = {slot.where for slot in needed if slot.group == "link"}
     link_after = {link.joint: link for link in links if link.joint in corrected}
     steps: list[Step] = []
-    placement = robot.onward[0]
+    placement = before = pin.SE3.Identity()
     groups: dict[tuple[str, Group], list[Slot]] = {}
     for slot in needed:
         groups.setdefault((slot.where, slot.group), []).append(slot)
@@ -127,33 +131,59 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
             steps.append(Step(placement, slot, move))
             placement = pin.SE3.Identity()
 
-    def end_of_origin(name: str) -> None:
-        nonlocal placement
-        steps.append(Step(placement, origin=name))
-        placement = pin.SE3.Identity()
+    def end_of_origin(name: str, climbs: bool = False) -> None:
+        nonlocal placement, before
+        steps.append(Step(placement, origin=name, before=before, climbs=climbs))
+        placement = before = pin.SE3.Identity()
 
-    for joint, after in zip(robot.joints, robot.onward[1:], strict=True):
+    def cross(fixed: Sequence[Fixed]) -> None:
+        nonlocal placement, before
+        for each in fixed:
+            constants = _sorted(groups.get((each.name, "constant"), ()), None)
+            step = each.origin.inverse() if each.climbs else each.origin
+            if not constants:
+                placement, before = placement * step, before * step
+            elif each.climbs:
+                put(_backwards(constants))
+                placement = placement * step
+                end_of_origin(each.name, climbs=True)
+            else:
+                placement = placement * step
+                put(constants)
+                end_of_origin(each.name)
+
+    after: pin.SE3 | None = None
+    for joint, fixed in zip(robot.joints, robot.fixed, strict=False):
         constants = _sorted(groups.get((joint.name, "constant"), ()), joint)
         effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
         own = [(own_slot(joint.name), motion("axis", joint))]
         moves = own + effects if joint.kind == "prismatic" else effects + own
+        if after is None:
+            cross(fixed)
+            placement = placement if joint.climbs else placement * joint.origin
+        else:  # the link's parameters have brought it there
+            placement, before = placement * after, joint.before
         if joint.climbs:
             put(_backwards(moves))
             put(_backwards(constants))
             placement = placement * joint.origin.inverse()
-            end_of_origin(joint.name)
-            placement = joint.origin * after
+            end_of_origin(joint.name, climbs=True)
             continue
         put(constants)
         end_of_origin(joint.name)
         put(moves)
+        after = None
         if joint.name in link_after:
             parts, after = segments(link_after[joint.name])
-            for component, before in parts:
-                placement = placement * before
+            for component, ahead in parts:
+                placement = placement * ahead
                 slot = Slot(joint.name, "link", component)
                 put([(slot, motion(LINK_AXES[component]))] if slot in needed else [])
-        placement = placement * after
+    if after is None:
+        cross(robot.fixed[-1])
+        end_of_origin("")
+        return steps
+    placement, before = placement * after, robot.tip_before
     put(_sorted(groups.get((robot.tip_joint or "", "constant"), ()), None))
     end_of_origin(robot.tip_joint or "")
     return steps

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -14,13 +14,14 @@ from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficien
 from aridcal.effects.labels import label_columns
 from aridcal.effects.loads import Surroundings, covariate_table, needs
 from aridcal.effects.sights import is_sight, sight_table, target_places
-from aridcal.errors import CovariateNotFound, MeasurementError
+from aridcal.errors import CovariateNotFound, MeasurementError, RobotError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.local import Local, local
 from aridcal.model.many_rows import stretches
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot, Route
+from aridcal.robot.doty import doty_links, links_down
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
@@ -126,7 +127,7 @@ class Model:
         robot: The nominal chain, or several limbs.
         coefficients: The unknowns, K of them; theta is their value.
         world_base: Start of T_world_base, for all rows (label None) or for each station.
-        tip_target: Start of T_tip_target, likewise.
+        tip_target: Start of T_tip_target, likewise; none where poses of links are asked for, which hold no target.
         around: Gravity, the payload's place and that of instruments, for what effects depend on.
         instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
         states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
@@ -300,17 +301,13 @@ class Model:
             limbs = [self._arm_of(Route(None, limb.tip)) for limb in reversed(self.robot.limbs)]
             return {name: T for arm in limbs for name, T in arm.model.origins(theta[arm.own]).items()}
         value = self._constant_values(theta)
-        robot = self.robot
-        before = {j.name: j.before for j in robot.joints} | {str(robot.tip_joint): robot.tip_before}
-        climbs = {j.name for j in robot.joints if j.climbs}
         found: dict[str, pin.SE3] = {}
         here = pin.SE3.Identity()  # from the last origin's end
         for step in self._extended.chain:
             here = here * step.placement
             if step.slot is None:
-                if step.origin in before:
-                    own = before[step.origin].inverse() * here
-                    found[step.origin] = own.inverse() if step.origin in climbs else own
+                own = step.before.inverse() * here
+                found[step.origin] = own.inverse() if step.climbs else own
                 here = pin.SE3.Identity()
             elif step.slot in value and step.motion is not None:
                 here = here * transform(step.motion, value[step.slot])
@@ -400,10 +397,12 @@ class Model:
         """The chain of a path."""
         robot = self.robot
         chain = robot.between(*route) if robot.others or route != Route() else robot
-        places = {*chain.names, str(chain.tip_joint), "tip_target"} | ({"world_base"} if route.start is None else set())
-        own = np.flatnonzero([c.where in places for c in self.coefficients])
+        places = {*chain.names, *(each.name for gap in chain.fixed for each in gap)}
+        places |= ({"world_base"} if route.start is None else set()) | ({"tip_target"} if self.tip_target else set())
+        own = np.flatnonzero([c.where in places and self._corrects(c, chain, places) for c in self.coefficients])
         base = self.world_base if route.start is None else ONE_FRAME
-        model = Model(chain, tuple(self.coefficients[k] for k in own), base, self.tip_target, self.around)
+        target = self.tip_target or ONE_FRAME
+        model = Model(chain, tuple(self.coefficients[k] for k in own), base, target, self.around)
         joints, columns = {n: k for k, n in enumerate(robot.names)}, {n: k for k, n in enumerate(robot.readings)}
         return _Arm(
             model=model,
@@ -413,6 +412,25 @@ class Model:
             columns=np.array([columns[name] for name in chain.readings], dtype=int),
             in_world=route.start is None,
         )
+
+    def _corrects(self, c: Coefficient, chain: Robot, places: Collection[str]) -> bool:
+        """True if a coefficient at a joint of a path moves what is beyond: a link's parameters act where the next origin is.
+
+        Raises:
+            RobotError: the path leaves that link elsewhere than the chain base -> tip, of which the parameters are.
+        """
+        main = self.robot.main
+        if c.component not in LINK_COMPONENTS or chain is main:
+            return True
+        link = next(own for own in doty_links(main) if own.joint == c.where)
+        if link.next_origin not in places:
+            return False
+        if link not in links_down(chain):
+            raise RobotError(
+                f"{c.name}: the report's link parameters are those of the chain from {main.base!r} to {main.tip!r}, and this "
+                f"path leaves the link elsewhere. Calibrate with `parameters: {{set: full}}`"
+            )
+        return True
 
     def _by_arm(self, n: int, route: np.ndarray | None) -> list[tuple[_Arm, slice | np.ndarray]]:
         """The chains, and which of n rows take each."""
@@ -501,7 +519,7 @@ def _labels(station: np.ndarray | None, n: int) -> np.ndarray:
 
 def _frame_index(frames: Frames, label: np.ndarray | None, n: int, per: str = "station") -> np.ndarray:
     labels = [known for known, _ in frames]
-    if labels == [None]:
+    if labels in ([], [None]):
         return np.zeros(n, dtype=int)
     if label is None:
         raise MeasurementError(f"a frame is per {per}: the table needs a `{per}` column")

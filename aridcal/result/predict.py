@@ -372,6 +372,7 @@ def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.nda
     seen = Seen(saved.ranges, saved.holes, saved.largest_std)
     beyond = seen.beyond(query.covariates | readings, std)
     beyond |= elsewhere(query.covariates | readings, saved.recorded)
+    beyond |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated
     beyond |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(beyond))
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     beyond[known] |= _far(saved, query, known)

@@ -18,7 +18,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import TARGET, Sights
-from aridcal.errors import AridcalError, CampaignError, nearest, shortened
+from aridcal.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.yaml_file import Limits, parse_settings
@@ -42,7 +42,7 @@ from aridcal.result.calibration_file import (
     untold_document,
     untold_of,
 )
-from aridcal.robot.chain import parse_robot
+from aridcal.robot.chain import Route, parse_robot, with_limbs
 from aridcal.robot.drive import Stated
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
@@ -140,6 +140,7 @@ class SavedModel:
         untold: Combinations of constants that no reading told, and that move the target.
         recorded: Lowest and highest value seen of the other numeric columns of the tables, on which nothing depends.
         rivals: Causes that the rows could not tell from the effects; none in files from before they were kept.
+        route: Of which link the poses are, and in which; None: of the target, in the world.
     """
 
     geometric: SolvedModel
@@ -154,12 +155,13 @@ class SavedModel:
     untold: tuple[Untold, ...] = ()
     recorded: dict[str, tuple[float, float]] = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
+    route: Route | None = None
 
     @property
     def measurements(self) -> MeasurementSettings:
         """Columns and units of the campaign's tables; those of FORMATS, in SI, if the record has no campaign."""
         settings = self.campaign.measurements if self.campaign else MeasurementSettings()
-        changes: dict[str, Any] = {"kind": self.kind}
+        changes: dict[str, Any] = {"kind": self.kind} | ({"inverted": None} if self.route else {})
         labels = {
             block.columns.get(role.name, role.name)
             for block in (self.campaign.blocks if self.campaign else ())
@@ -209,6 +211,36 @@ class SavedModel:
             found[name] = np.where(np.isnan(given), usual, given)
         return found
 
+    def of_link(self, link: str, inside: str | None = None) -> SavedModel:
+        """The same robot asked for the poses of one of its links.
+
+        Args:
+            link: Whose.
+            inside: The link in whose frame they are; None: in the world, or in the base where nothing is known in the world.
+
+        Returns:
+            A model whose rows need the joints of that path, too: those that were not calibrated are nominal.
+
+        Raises:
+            RobotError: there is no such link, or no joint moves between the two.
+        """
+        robot = self.final.model.robot
+        names = [frame.name for frame in robot.tree.frames if frame.type == pin.FrameType.BODY]
+        for name in (link, inside):
+            if name is not None and name not in names:
+                raise RobotError(
+                    f"{robot.path}: no link {shortened(name)!r}{nearest(name, names)}; name one of the URDF's"
+                )
+        if inside is None and link == robot.base:
+            raise RobotError(f"the base {link!r} does not move in the world: name another link")
+        route = Route(inside, link)
+        robot = with_limbs(robot, (Route(), route))
+        models = [
+            replace(solved, model=replace(solved.model, robot=robot, tip_target=(), routes=(route,)))
+            for solved in (self.geometric, self.final)
+        ]
+        return replace(self, geometric=models[0], final=models[1], kind="pose", route=route)
+
     @property
     def frames_by(self) -> Literal["station", "target"]:
         """Column that says which frames a row has, where there are several."""
@@ -217,7 +249,7 @@ class SavedModel:
     @property
     def span(self) -> float:
         """How long the arm is from its first joint to the target, with the travel that was seen of what slides, [m]."""
-        robot = self.final.model.robot
+        robot = self.final.model.robot.main
         links = sum(float(np.linalg.norm(step.translation)) for step in robot.onward[1:-1])
         travels = [
             float(np.ptp(self.ranges[name]))
@@ -227,7 +259,7 @@ class SavedModel:
             if name in self.ranges
         ]
         ends = [robot.onward[-1] * frame for _, frame in self.final.model.tip_target]
-        return links + sum(travels) + max(float(np.linalg.norm(end.translation)) for end in ends)
+        return links + sum(travels) + max((float(np.linalg.norm(end.translation)) for end in ends), default=0.0)
 
     @property
     def scatter(self) -> tuple[tuple[float, float], tuple[float, float]]:

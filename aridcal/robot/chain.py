@@ -71,6 +71,20 @@ class Column:
     upper: float
 
 
+class Fixed(NamedTuple):
+    """A joint of the chain that does not move.
+
+    Attributes:
+        name: As in the URDF.
+        origin: Its own ``<origin>``.
+        climbs: True on the way up from the base.
+    """
+
+    name: str
+    origin: pin.SE3
+    climbs: bool
+
+
 @dataclass(frozen=True)
 class Robot:
     """The chain base -> tip of a URDF, and the whole tree as mass.
@@ -94,6 +108,7 @@ class Robot:
         mimics: What moves every joint of the tree that follows others or stands still, resolved to the last masters.
         packages: Where the user says that packages of ROS are, which its meshes are in.
         stated: What the user says of joints that have no column.
+        fixed: Fixed joints before each moving joint, and behind the last, shape (joints + 1,).
         others: Chains from the base to further links that rows refer to; none of a robot of one limb.
     """
 
@@ -110,6 +125,7 @@ class Robot:
     mimics: Mapping[str, Drive] = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
     stated: Stated = NOTHING
+    fixed: tuple[tuple[Fixed, ...], ...] = ()
     others: tuple[Robot, ...] = ()
 
     @cached_property
@@ -282,23 +298,23 @@ class Route(NamedTuple):
 def with_limbs(robot: Robot, routes: Sequence[Route]) -> Robot:
     """The same robot with the joints of all paths that rows take.
 
-    What an instrument on a link sees tells nothing of that link's own fixed joint beside its own place there: no limb to such a
-    link has a ``tip_joint``.
-
     Raises:
         RobotError: a link is not there, or no joint is between the two ends of a route.
     """
-    starts = {route.start for route in routes} - {None}
+    links = [link for route in routes for link in (route.end, route.start) if link not in (None, robot.tip, robot.base)]
+    others = tuple(robot.between(None, link) for link in dict.fromkeys(links))
     for route in routes:
-        chain(read_tree(robot.urdf, robot.path, robot.stated), route.end or robot.tip, route.start or robot.base)
-    links = dict.fromkeys(
-        link for route in routes for link in (route.end, route.start) if link not in (None, robot.tip)
+        if not robot.between(*route).joints:
+            raise RobotError(
+                f"{robot.path}: no joint moves between {route.start or robot.base!r} and {route.end or robot.tip!r}"
+            )
+    every = (robot.main, *others)
+    joints = {joint.name: joint for limb in reversed(every) for joint in limb.joints}
+    order = dict.fromkeys(joint.name for limb in every for joint in limb.joints)
+    columns = {column.name: column for limb in every for column in limb.columns}
+    return replace(
+        robot.main, joints=tuple(joints[name] for name in order), columns=tuple(columns.values()), others=others
     )
-    others = [robot.between(None, link) for link in links]
-    limbs = [replace(limb, tip_joint=None) if limb.tip in starts else limb for limb in (robot.main, *others)]
-    joints = {joint.name: joint for limb in reversed(limbs) for joint in limb.joints}
-    order = dict.fromkeys(joint.name for limb in limbs for joint in limb.joints)
-    return replace(limbs[0], joints=tuple(joints[name] for name in order), others=tuple(limbs[1:]))
 
 
 def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False) -> Robot:
@@ -319,16 +335,20 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
 
     joints: list[Joint] = []
     before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
+    fixed: list[list[Fixed]] = [[]]
     for element, climbs in (*((e, True) for e in up), *((e, False) for e in reversed(down))):
         kind, joint = element.get("type", ""), str(element.get("name"))
         own = tree.origins[joint]
         if joint in tree.moves:
             joints.append(_joint(joint, before * origin, tree, climbs))
             before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
+            fixed.append([])
         elif kind == "fixed" and climbs:
             before = before * own.inverse()
+            fixed[-1].append(Fixed(joint, own, True))
         elif kind == "fixed":
             before, name, origin = before * origin, joint, own
+            fixed[-1].append(Fixed(joint, own, False))
         else:
             raise RobotError(
                 f"{path}: joint {joint!r} on the chain is {shortened(kind)!r}: only serial chains of "
@@ -341,12 +361,15 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
             "other end"
         )
     columns = _columns(joints, tree)
-    if not columns:
+    if not columns and not still:
         raise RobotError(
             f"{path}: all joints between {start!r} and {tip!r} stand still by `robot.joints`: nothing to calibrate. Delete "
             "those there that move"
         )
-    return Robot(tree.urdf, path, start, tip, tuple(joints), columns, name, before, origin, tree.moves, tree.mimics)
+    return Robot(
+        tree.urdf, path, start, tip, tuple(joints), columns, name, before, origin, tree.moves, tree.mimics,
+        fixed=tuple(map(tuple, fixed)),
+    )  # fmt: skip
 
 
 def _ways_to_the_root(tree: UrdfTree, link: str) -> list[etree._Element]:
