@@ -139,6 +139,27 @@ def test_the_tips_place_in_the_world_is_the_targets_less_its_offset(
     np.testing.assert_allclose(there, target.loc[0, ["x", "y", "z"]].to_numpy(float), atol=1e-9)
 
 
+def test_a_link_beyond_joints_that_were_not_calibrated_is_nominal_from_there_and_says_so(tmp_path: Path) -> None:
+    """A branch off the calibrated chain: its joint needs a column, and no row is like those that were seen."""
+    truth = machine(parse_robot(robots.random_chain(np.random.default_rng(5), "RRRRRR"), "tip", "base"), 0.4, n=60)
+    path = robots.write_campaign(
+        tmp_path, truth, robots.table(truth), measurements={"file": "measurements.csv", "kind": "pose"}
+    )
+    found = aridcal.calibrate(path)
+    geometric = found.model.geometric
+    asked = replace(found, model=replace(found.model, final=geometric, rivals=()))
+    query = robots.table(truth)[list(truth.model.robot.readings)][:6]
+    with pytest.raises(aridcal.AridcalError, match="branch_joint"):
+        asked.predict(query, of="branch", within="tip")
+    query["branch_joint"] = np.linspace(-1.0, 1.0, len(query))
+    told = asked.predict(query, of="branch", within="tip")
+    assert told["extrapolates"].all()
+    text = urdf_of(geometric.model, geometric.theta)
+    for k, row in enumerate(query.to_dict("records")):
+        expected = placed(text, Route("tip", "branch"), row)
+        np.testing.assert_allclose(told.loc[k, ["x", "y", "z"]].to_numpy(float), expected.translation, atol=1e-9)
+
+
 def test_the_command_names_what_is_wrong(
     calibrated: tuple[aridcal.Calibration, robots.Truth], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
