@@ -27,7 +27,7 @@ from aridcal.drawing.as_tables import (
 from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.drawing.shown import DECIMALS, Verified, headline
-from aridcal.errors import AridcalError, shortened
+from aridcal.errors import AridcalError, CampaignError, shortened
 from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query, seeded
 from aridcal.inputs.tables import AnyTable
@@ -146,6 +146,8 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
         """
+        if within is not None and of is None:
+            raise CampaignError("within says in which link's frame; name the link whose pose is wanted: of=LINK")
         with working() as progress:
             progress("predicting")
             asked = self.model if of is None else self.model.of_link(of, within)

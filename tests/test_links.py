@@ -166,6 +166,8 @@ def test_the_command_names_what_is_wrong(
     found, truth = calibrated
     (tmp_path / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
     robots.table(truth).to_csv(tmp_path / "q.csv", index=False)
+    with pytest.raises(aridcal.AridcalError, match="name the link whose pose is wanted: of=LINK"):
+        found.predict(robots.table(truth), within="tool0")
     words = [str(tmp_path / "calibration.yaml"), str(tmp_path / "q.csv"), "-o", str(tmp_path / "out.csv")]
     for more, why in (
         (["--in", "tool0"], "--in says in which link's frame"),
