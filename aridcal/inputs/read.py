@@ -294,22 +294,26 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
     n = len(source.table)
     labels: dict[str, np.ndarray] = {}
     for role in KINDS[settings.kind].roles:
-        if role.name in ("point", "marker"):
-            words = source.labels(role.name, needed=settings.kind)
-        elif role.name == "board":
-            boards = {name: known.board_of(name) for name in np.unique(labels["camera"]).tolist()}
-            words = np.array([boards[name] for name in labels["camera"].tolist()])
-        else:
-            words = _words(source, role.name)
+        if role.name == "board":  # what carries the marker, once that is known
+            continue
+        words = (
+            source.labels(role.name, needed=settings.kind)
+            if role.name in ("point", "marker")
+            else _words(source, role.name)
+        )
         if words is None:
             words = np.full(n, _default(asked.campaign, settings, role.name))
         if role.name == "camera":
             words = _declared_cameras(source, words, known)
         labels[role.name] = words
-    if known.markers and "marker" in labels:
-        missing = (labels["board"] == known.board) & ~np.isin(labels["marker"], sorted(known.markers))
-        file = known.settings.markers.file
-        source.refuse(missing, source.column("marker"), f"no such marker in {file.name if file else 'the board'}")
+    if "marker" in labels:
+        pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
+        labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
+        labels = {role.name: labels[role.name] for role in KINDS[settings.kind].roles}
+    for board, stated in known.boards.items() if "marker" in labels else ():
+        missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
+        assert stated.file is not None
+        source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
     made = [*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))]
     return np.column_stack(made)
 

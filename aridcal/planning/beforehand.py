@@ -280,7 +280,7 @@ def _referred(campaign: Campaign, known: Known) -> np.ndarray:
         found = [("", "", "")]
     elif kind == "pixels":
         cameras = [settings.camera] if settings.camera else list(declared["camera"])
-        found = [(camera, known.board_of(camera), marker) for camera in cameras for marker in known.markers]
+        found = [(camera, known.board_of(camera, marker), marker) for camera in cameras for marker in known.markers]
     else:
         role = KINDS[kind].roles[0].name
         found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]

@@ -198,7 +198,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
     if not several and (places <= names or not referring):
         changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
         return campaign.model_copy(update=changes)
-    tables = [path for path in (campaign.instruments.points, campaign.instruments.markers.file) if path is not None]
+    tables = list(campaign.instruments.tables)
     lost = [path for path in tables if not path.exists()]
     if lost:
         raise CampaignError(
