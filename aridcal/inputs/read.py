@@ -26,6 +26,7 @@ from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, Measur
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
+from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
@@ -34,7 +35,7 @@ from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
-from aridcal.robot.chain import JointKind
+from aridcal.robot.chain import JointKind, Robot, Route, check_route
 
 if TYPE_CHECKING:
     from aridcal.inputs.tables import AnyTable, Table
@@ -59,6 +60,7 @@ class _Asked:
     fitted: bool
     own_files: bool
     known: Known
+    robot: Robot | None
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ def load_measurements(
     files: Sequence[AnyTable] | None = None,
     require_pose: bool = True,
     fitted: bool = True,
+    robot: Robot | None = None,
 ) -> Dataset:
     """Read the measurements of a campaign.
 
@@ -92,6 +95,7 @@ def load_measurements(
             columns it has.
         require_pose: False for rows that measure something else than the target; then `position` is NaN.
         fitted: False for rows that are scored only: their stations and labels need no training rows.
+        robot: Through whose tree rows take paths, where anything that they refer to is on a link of its own.
 
     Raises:
         CampaignError: `columns` names an unknown quantity, or what is known of the instruments cannot be used.
@@ -99,7 +103,8 @@ def load_measurements(
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     known, own = known_of(campaign), files is None
-    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known)
+    robot = robot if robot is not None and robot.others else None
+    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
     if not parts[0].rows.blocks:
@@ -149,7 +154,6 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
-    q = source.joints(kinds)
     of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
@@ -160,12 +164,19 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
             position = source.position()
         std = source.std()
     target = _words(source, TARGET) if TARGET in settings.own_columns else None
-    plain = not asked.require_pose or (alone and of_target and target is None)
+    if target is None and settings.target is not None:
+        target = np.full(len(table), settings.target)
+    plain = not asked.require_pose or (alone and of_target and target is None and not campaign.instruments.links)
     observed = position if of_target or plain else _observed(source)
     refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
     if not (of_target or plain):
         camera = refers[:, 0] if settings.kind == "pixels" else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
+    on_paths = None
+    if asked.robot is not None and not plain:
+        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip)
+        on_paths = needed_columns(asked.robot, paths)
+    q = source.joints(kinds, on_paths)
     station = source.labels("station", needed="station" if per_station(campaign) else "")
     split = source.split()
     covariates = source.covariates()
@@ -378,8 +389,30 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     rows = replace(rows, refers=with_trackers(rows.refers, rows.blocks, rows.block, asked.readings))
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
+    if asked.robot is not None:
+        rows = _with_routes(rows, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
+
+
+def _with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
+    """The rows with the paths that they take.
+
+    Raises:
+        RobotError: no joint moves on one of them.
+    """
+    paths = [Route()] * len(rows)
+    for number, block in enumerate(rows.blocks):
+        own = np.flatnonzero(rows.block == number)
+        target = None if rows.target is None else rows.target[own]
+        for k, path in zip(
+            own.tolist(), routes_of(known, block.kind, rows.refers[own], target, robot.tip), strict=True
+        ):
+            paths[k] = path
+    routes, route = numbered(paths)
+    for path in routes[1:]:
+        check_route(robot, path)
+    return replace(rows, routes=routes, route=route)
 
 
 def _counted_on(table: Table) -> np.ndarray:

@@ -64,7 +64,8 @@ class Locked:
     Attributes:
         model: Pinocchio's.
         target: The target on its last joint.
-        own: Which coordinate each joint of the robot has, shape (joints,).
+        own: Which coordinate each joint of the path has, shape (j,).
+        joints: Which of the robot's joints those are, shape (j,).
         carrier: Which coordinate carries each coefficient, shape (K,); -1 where that is locked. A joint that carries a
             constant beside an effect starts at zero: its constant is still to be added.
     """
@@ -72,6 +73,7 @@ class Locked:
     model: pin.Model
     target: pin.SE3
     own: np.ndarray
+    joints: np.ndarray
     carrier: np.ndarray
 
 
@@ -338,7 +340,7 @@ class Model:
         return replace(self, world_base=world, tip_target=tip), np.where(frame, 0.0, theta)
 
     def locked(self, theta: np.ndarray, station: str | None = None) -> Locked:
-        """The robot and its effects alone: whatever moves alike in all rows is locked where theta has it.
+        """The first path's chain and its effects alone: whatever moves alike in all rows is locked where theta has it.
 
         Args:
             theta: Coefficients, shape (K,).
@@ -348,11 +350,11 @@ class Model:
             MeasurementError: the station is none of those that the model knows.
         """
         if self._divided:
-            arm = self._arm_of(Route())
+            arm = self._arms[0]
             locked = arm.model.locked(theta[arm.own], station)
             carrier = np.full(len(theta), -1)
             carrier[arm.own] = locked.carrier
-            return replace(locked, carrier=carrier)
+            return replace(locked, carrier=carrier, joints=arm.joints)
         label = None if station is None else np.array([station])
         world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
         slots = self._extended.slots
@@ -365,6 +367,7 @@ class Model:
             model=model,
             target=target,
             own=np.array([index[slot.name] for slot in own]),
+            joints=np.arange(len(own)),
             carrier=np.array(carrier_of, dtype=int),
         )
 

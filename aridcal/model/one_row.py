@@ -94,9 +94,9 @@ class OneRowModel:
 
         self._factors, self._offsets = robot.factors, robot.offsets
         self._drive = np.zeros((self._size, len(robot.readings)))
-        self._drive[locked.own] = self._factors
+        self._drive[locked.own] = self._factors[locked.joints]
         self.still = np.zeros(self._size)
-        self.still[locked.own] = self._offsets
+        self.still[locked.own] = self._offsets[locked.joints]
 
         here = [c.station in (None, station) for c in model.coefficients]
         free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]

@@ -154,7 +154,7 @@ def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
 def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
     """Frames, constants and declared effects from the rows that are there."""
     progress("reading the measurements")
-    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds))
+    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
     labels = station_labels(campaign, rows)
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
     geometry = fit_constants(campaign, robot, rows, labels, progress)

@@ -42,7 +42,7 @@ from aridcal.result.calibration_file import (
     untold_document,
     untold_of,
 )
-from aridcal.robot.chain import Route, parse_robot, with_limbs
+from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
 from aridcal.robot.drive import Stated
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
@@ -234,7 +234,8 @@ class SavedModel:
         if inside is None and link == robot.base:
             raise RobotError(f"the base {link!r} does not move in the world: name another link")
         route = Route(inside, link)
-        robot = with_limbs(robot, (Route(), route))
+        check_route(robot, route)
+        robot = with_limbs(robot, [limb.tip for limb in robot.others] + [end for end in route if end is not None])
         models = [
             replace(solved, model=replace(solved.model, robot=robot, tip_target=(), routes=(route,)))
             for solved in (self.geometric, self.final)

@@ -118,7 +118,7 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
     campaign = _other(saved, Path(str(table))) if new else _own(saved, table)
     robot = saved.final.model.robot
     rows = load_measurements(
-        campaign, robot.readings, robot.limits, robot.kinds, files=None if new else [table], fitted=False
+        campaign, robot.readings, robot.limits, robot.kinds, robot=robot, files=None if new else [table], fitted=False
     )
     rows = _with_targets(saved, with_directions(rows), new)
     _refuse_unknown_labels(saved, rows)

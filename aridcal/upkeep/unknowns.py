@@ -147,7 +147,7 @@ def _seen(c: Coefficient, rows: Dataset) -> bool:
 
 def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> Model:
     """The model with new frames and things where the rows have them."""
-    bare = Model(model.robot, (), instruments=rows.instruments)
+    bare = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
     seen = measured(bare, rows)
     assert seen is not None
     anywhere = ("world_base", None) in new
