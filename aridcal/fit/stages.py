@@ -125,7 +125,9 @@ def _start(
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
     alone = len(train.blocks) < 2 and train.target is None
-    if alone and np.isfinite(train.position).all():  # every row has measured the place of one target
+    if (
+        alone and train.route is None and np.isfinite(train.position).all()
+    ):  # every row has measured the place of one target
         best, _ = _starts(campaign, robot, train, labels)[0]
         return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
     bare = Model(robot, (), instruments=train.instruments, routes=train.routes)
@@ -151,6 +153,7 @@ def _start(
         instruments=train.instruments,
         states=found.states,
         routes=train.routes,
+        target_on=campaign.instruments.targets_on(robot.tip),
     )
 
 

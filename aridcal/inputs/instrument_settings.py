@@ -281,6 +281,10 @@ class InstrumentSettings(Section):
         other = next(iter(self.sides.values()), WORLD)
         return {board.on or other: board for board in self.markers if board.file is not None}
 
+    def targets_on(self, tip: str) -> dict[str, str]:
+        """Links other than the robot's tip that carry targets, by the targets' labels."""
+        return {name: target.on for name, target in self.targets.items() if target.on not in (TIP, tip)}
+
     @property
     def tables(self) -> tuple[Path, ...]:
         """Files that it names."""

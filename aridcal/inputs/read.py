@@ -409,7 +409,7 @@ def _with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
             own.tolist(), routes_of(known, block.kind, rows.refers[own], target, robot.tip), strict=True
         ):
             paths[k] = path
-    routes, route = numbered(paths)
+    routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
     for path in routes[1:]:
         check_route(robot, path)
     return replace(rows, routes=routes, route=route)

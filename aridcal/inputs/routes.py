@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -44,9 +44,14 @@ def _route(known: Known, label: dict[str, str], target: str, tip: str) -> Route:
     return Route({WORLD: None, TIP: tip}.get(start, start), None if end in (TIP, tip) else end)
 
 
-def numbered(every: Sequence[Route]) -> tuple[tuple[Route, ...], np.ndarray | None]:
-    """The paths that there are, the default one first, and each row's number; None where all take that."""
-    found = tuple(dict.fromkeys([Route(), *every]))
+def numbered(every: Sequence[Route], targets: Collection[str]) -> tuple[tuple[Route, ...], np.ndarray | None]:
+    """The paths that there are, the default one first, and each row's number; None where all take that.
+
+    Args:
+        every: Of each row.
+        targets: Links that carry targets: to these there is a path from the world, too.
+    """
+    found = tuple(dict.fromkeys([Route(), *every, *(Route(None, link) for link in targets)]))
     if len(found) == 1:
         return found, None
     number = {route: k for k, route in enumerate(found)}
