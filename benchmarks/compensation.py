@@ -137,9 +137,9 @@ def wanted(case: Case, truth: SolvedModel, poses: int) -> Query:
     """Poses that the true machine can reach, each with the joints from which the nominal one would set out."""
     robot = truth.model.robot
     rng = np.random.default_rng(11)
-    limits = {j.reading: (max(j.lower, -np.pi), min(j.upper, np.pi) if j.kind == "revolute" else j.upper)
-              for j in robot.joints}  # fmt: skip
-    low, high = np.array([limits[name] for name in robot.readings]).T
+    turns = np.array(robot.kinds) != "prismatic"
+    low, high = np.maximum(robot.limits[:, 0], -np.pi), robot.limits[:, 1]
+    high = np.where(turns, np.minimum(high, np.pi), high)
     low, high = low + 0.05 * (high - low), high - 0.05 * (high - low)
     q = rng.uniform(low, high, (poses, len(low)))
     side = {f"{case.backlash}_direction": rng.choice([-1.0, 1.0], poses)}

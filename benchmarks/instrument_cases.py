@@ -159,7 +159,7 @@ def made(keys: Mapping[str, Any], robot: Robot) -> Made:
         simulation = simulate(load_settings(folder / "scenario.yaml", Scenario))
         write_campaign(simulation, folder, folder)
         campaign = load_campaign(folder / "campaign.yaml")
-        limits = np.array([(joint.lower, joint.upper) for joint in robot.joints])
+        limits = robot.limits
         rows = load_measurements(campaign, robot.readings, limits, robot.kinds)
     sigma = np.array([NOISE[channel.name.split("_")[-1]] for channel in rows.channels])
     return Made(simulation, campaign, simulation.robot, rows, sigma, dict(keys))

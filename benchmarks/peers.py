@@ -177,13 +177,13 @@ def along_z(robot: Robot, tip_target: pin.SE3) -> str:
     """Write the chain with all axes along z and the target as its last link: robotkinecal takes every axis for a z axis."""
     lines = [f'<robot name="{robot.tip}"><link name="link_0"/>']
     turn = pin.SE3.Identity()
-    for k, (joint, onward) in enumerate(zip(robot.joints, robot.onward, strict=False), 1):
+    for k, (joint, onward, column) in enumerate(zip(robot.joints, robot.onward, robot.columns, strict=False), 1):
         onto = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), joint.along).matrix(), np.zeros(3))
         origin = _origin(turn.inverse() * onward * onto)
         lines.append(
             f'<link name="link_{k}"/><joint name="{joint.name}" type="revolute"><parent link="link_{k - 1}"/>'
             f'<child link="link_{k}"/>{origin}<axis xyz="0 0 1"/>'
-            f'<limit lower="{joint.lower}" upper="{joint.upper}" effort="1" velocity="1"/></joint>'
+            f'<limit lower="{column.lower}" upper="{column.upper}" effort="1" velocity="1"/></joint>'
         )
         turn = onto
     last = _origin(turn.inverse() * robot.onward[-1] * tip_target)
