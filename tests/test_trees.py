@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,8 @@ import two_arms
 import yaml
 
 import aridcal
+import aridcal.compensate
+import aridcal.design
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.fit.constants import urdf_of
 from aridcal.inputs.campaign import load_campaign, nominal_robot
@@ -87,6 +91,39 @@ def test_a_command_moves_the_limb_that_carries_the_target_and_holds_the_others(
         assert np.abs(told[robot.joints].to_numpy(float) - near)[:, own].max() > 0.01
         others = [not moves for moves in own]
         np.testing.assert_allclose(told[robot.joints].to_numpy(float)[:, others], near[:, others], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("moved", ["", "right_j3"])
+def test_a_check_names_the_joint_of_the_limb_that_moved(
+    moved: str,
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot, found, _ = both
+    since = replace(robot, slipped=(moved, 1e-3) if moved else None)
+    two_arms.write(tmp_path, since, ("tracker",), readings(robot, 30, 7), seed=5)
+    monkeypatch.chdir(tmp_path)  # the campaign's other tables are named from here
+    told = found.check(tmp_path / "tracker.csv")
+    assert told.good == (not moved)
+    named = re.findall(r"the zero of (\w+), by \+([\d.]+) ", " ".join(told.lines))
+    assert [joint for joint, _ in named] == ([moved] if moved else [])
+    assert all(abs(float(size) - 1.0) < 0.15 for _, size in named)
+
+
+def test_programs_and_plans_of_several_limbs_are_refused(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, _, folder = both
+    (tmp_path / "p.script").write_text("movej([0,0,0,0,0,0])\n")
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "p.script"), "-o", str(tmp_path / "out.script")]
+    assert aridcal.compensate.main(asked) == 2
+    assert "the calibration is of several limbs (left_hand, right_hand, camera)" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    assert aridcal.design.main([str(folder / "campaign.yaml"), "-n", "5", "-o", str(tmp_path / "plan.csv")]) == 2
+    assert "poses of several limbs are not planned" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out.script").exists() and not (tmp_path / "plan.csv").exists()
 
 
 def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> None:

@@ -63,10 +63,12 @@ class Machine:
     Attributes:
         model: Its own.
         yields: By how much the left shoulder gives way, [rad/(N m)].
+        slipped: A joint, and by how much its zero has moved, [rad].
     """
 
     model: pin.Model
     yields: float = 0.0
+    slipped: tuple[str, float] | None = None
 
     @property
     def joints(self) -> list[str]:
@@ -79,6 +81,8 @@ class Machine:
         shoulder = self.model.joints[self.model.getJointId("left_j2")].idx_v
         for row in q:
             bent = row.copy()
+            if self.slipped is not None:
+                bent[self.joints.index(self.slipped[0])] += self.slipped[1]
             bent[shoulder] -= self.yields * pin.computeGeneralizedGravity(self.model, data, row)[shoulder]
             pin.framesForwardKinematics(self.model, data, bent)
             one, other = (data.oMf[self.model.getFrameId(link)] for link in (start, end))
@@ -181,12 +185,13 @@ def write(folder: Path, robot: Machine, ways: tuple[str, ...], q: np.ndarray, se
         table = pd.DataFrame(marks, columns=["x", "y", "z"])
         table.insert(0, "marker", [f"{side}_{k}" for k in range(4)])
         table.to_csv(folder / f"{side}.csv", index=False)
-    blocks, things = [], {}
+    blocks: list[dict[str, Any]] = []
+    things: dict[str, Any] = {}
     for way in ways:
-        table, block, own = WAYS[way](robot, q, rng)
+        table, block, named = WAYS[way](robot, q, rng)
         table.to_csv(folder / f"{way}.csv", index=False)
         blocks.append(block | {"file": f"{way}.csv"})
-        for key, value in own.items():
+        for key, value in named.items():
             things[key] = {**things.get(key, {}), **value} if isinstance(value, dict) else value
     document = {
         "format": 1,

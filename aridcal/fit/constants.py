@@ -69,9 +69,14 @@ def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:
             found += [Coefficient(joint.name, c) for c in ordered]
         ends = dict.fromkeys(limb.tip_joint for limb in robot.limbs if limb.tip_joint)
         return (*found, *(Coefficient(end, c) for end in ends for c in FRAME_COMPONENTS))
+    if robot.others:
+        raise RobotError(
+            f"parameters.set: {which}: the report's link parameters are those of one chain, and rows take paths to "
+            f"{', '.join(limb.tip for limb in robot.limbs)}. Write `full`"
+        )
     if robot.climbs:
         raise RobotError(
-            f"identify.parameters: {which}: the report's link parameters are those of a chain from its base outwards, and "
+            f"parameters.set: {which}: the report's link parameters are those of a chain from its base outwards, and "
             f"joints move {robot.base!r} here. Write `full`"
         )
     found = []

@@ -131,7 +131,8 @@ def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) 
                     f"{data.title}: {role.name} {name!r} of {block.name}: its fitted rows, {count}, cannot tell where it is. "
                     "Measure more of it, in other postures, or state its place under `instruments`"
                 )
-            state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
+            if lost.any():
+                state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
             found[role.name] = state
     return found
 

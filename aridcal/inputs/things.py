@@ -15,7 +15,6 @@ from aridcal.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.inputs.campaign import Job
 from aridcal.inputs.instrument_settings import (
     BEYOND,
-    TIP,
     WORLD,
     AnchorSettings,
     InstrumentSettings,
@@ -141,8 +140,8 @@ class Known:
         return WORLD
 
     def linked(self, role: str, label: str) -> bool:
-        """True if a link carries a thing."""
-        return self.carrier(role, label) not in (TIP, WORLD)
+        """True if a link carries a thing, the tip or another."""
+        return self.carrier(role, label) != WORLD
 
     def beforehand(self, role: Role, label: str, on_board: bool) -> tuple[Sequence[float], Sequence[bool], float]:
         """State of one thing, which components of it are identified, and the sigma of those of which something is known.

@@ -125,6 +125,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
             f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
         )
+    if robot.others:
+        raise CampaignError(
+            f"{campaign.path}: instruments: poses of several limbs are not planned: plan each in a campaign of its own, with "
+            "things on the tip and in the world"
+        )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
     remarks = (ANGLES_ALONE,) if kind == "inclination" else ()

@@ -91,6 +91,10 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     check_scenario(scenario)
     truth = scenario.truth
     robot = nominal_robot(scenario)
+    if robot.others:
+        raise CampaignError(
+            f"{scenario.path}: instruments: things on links of their own are measured, not simulated: write tip or world"
+        )
     constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])

@@ -157,7 +157,12 @@ class Robot:
 
     @cached_property
     def onward(self) -> tuple[pin.SE3, ...]:
-        """From the base, or from a moving joint's frame after its motion, to the next one's before it, and to the tip at last."""
+        """From the base, or from a moving joint's frame after its motion, to the next one's before it, and to the tip at last.
+
+        Of a robot of several limbs, along the chain base -> tip.
+        """
+        if self.others:
+            return self.main.onward
         steps, here = [], pin.SE3.Identity()
         for joint in self.joints:
             here = here * joint.before
