@@ -9,6 +9,7 @@ import pytest
 
 from aridcal.robot.chain import Joint, Robot, load_robot
 from aridcal.robot.doty import COMPONENTS, Link, align, axis_to_link, doty_links, link_transform, motion, segments
+from aridcal.robot.drive import Drive
 
 URDF = Path(__file__).parents[1] / "urdf"
 X, Y, Z = np.eye(3)
@@ -18,10 +19,10 @@ NO_TURN = np.eye(3)
 def chain(joints: list[tuple[str, np.ndarray, pin.SE3]], tip: pin.SE3) -> Robot:
     """A bare chain of (kind, axis, origin), with the tip on a fixed joint; nothing else of the URDF matters here."""
     made = tuple(
-        Joint(f"joint_{k}", kind, axis, pin.SE3.Identity(), origin, -1.0, 1.0, False, f"joint_{k}")
+        Joint(f"joint_{k}", kind, axis, pin.SE3.Identity(), origin, Drive({f"joint_{k}": 1.0}))
         for k, (kind, axis, origin) in enumerate(joints, start=1)
     )
-    return Robot(b"", Path("chain.urdf"), "base", "tip", made, "tip_joint", pin.SE3.Identity(), tip, {}, {})
+    return Robot(b"", Path("chain.urdf"), "base", "tip", made, (), "tip_joint", pin.SE3.Identity(), tip, {}, {})
 
 
 def at(rotation: np.ndarray = NO_TURN, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> pin.SE3:
