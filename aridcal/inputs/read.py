@@ -154,6 +154,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
+    q = source.joints(kinds) if asked.robot is None else np.zeros((len(table), len(kinds)))
     of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
@@ -172,11 +173,9 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     if not (of_target or plain):
         camera = refers[:, 0] if settings.kind == "pixels" else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
-    on_paths = None
-    if asked.robot is not None and not plain:
+    if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip)
-        on_paths = needed_columns(asked.robot, paths)
-    q = source.joints(kinds, on_paths)
+        q = source.joints(kinds, needed_columns(asked.robot, paths))
     station = source.labels("station", needed="station" if per_station(campaign) else "")
     split = source.split()
     covariates = source.covariates()
