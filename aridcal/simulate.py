@@ -49,7 +49,7 @@ def _main(arguments: argparse.Namespace) -> None:
         with atomic_folder(out) as folder:
             write_campaign(simulation, folder, out, progress)
             known, head = scenario.instruments, scenario.measurements.head
-            inputs = [path, scenario.robot.urdf, known.points, known.markers.file, head]
+            inputs = [path, scenario.robot.urdf, *known.tables, head]
             written = [out / file.relative_to(folder) for file in folder.rglob("*")]
             check_apart(written, inputs)
     rows, wrong = len(simulation.outliers), int(simulation.outliers.sum())

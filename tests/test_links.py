@@ -18,7 +18,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.errors import RobotError
 from aridcal.fit.constants import constants, urdf_of
 from aridcal.model.model import Model
-from aridcal.robot.chain import Route, parse_robot, with_limbs
+from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
 
 URDF = robots.random_chain(np.random.default_rng(6), "RPRC")
 """Links base, link_1 to link_4 and tip in a row, with a bracket and a plate after link_1, which carries a branch, too."""
@@ -41,7 +41,7 @@ def placed(robot_urdf: bytes, route: Route, readings: dict[str, float]) -> pin.S
 
 def whole(coefficients: str, seed: int = 1) -> tuple[Model, np.ndarray]:
     """A model of rows that take all these paths, and corrections."""
-    robot = with_limbs(parse_robot(URDF, "tip", "base"), ROUTES)
+    robot = with_limbs(parse_robot(URDF, "tip", "base"), [link for ends in ENDS for link in ends if link is not None])
     chosen = constants(robot, "full") if coefficients == "constants" else varying(robot)
     chosen = tuple(c for c in chosen if c.where not in ("world_base", "tip_target"))
     model = Model(robot, chosen, around=Surroundings(np.array([1.0, 5.0, -8.0])), routes=ROUTES)
@@ -92,7 +92,7 @@ def test_the_columns_of_readings_of_all_paths_are_their_differences() -> None:
 
 def test_a_path_on_which_nothing_moves_is_refused() -> None:
     with pytest.raises(RobotError, match="no joint moves between 'plate' and 'link_1'"):
-        with_limbs(parse_robot(URDF, "tip", "base"), [Route("plate", "link_1")])
+        check_route(parse_robot(URDF, "tip", "base"), Route("plate", "link_1"))
 
 
 @pytest.fixture(scope="module")

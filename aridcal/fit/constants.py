@@ -25,7 +25,9 @@ def frame_coefficients(campaign: Campaign, labels: tuple[str, ...], data: Datase
     for where, settings in (("world_base", campaign.frames.world_base), ("tip_target", campaign.frames.tip_target)):
         if settings.identify and (where == "tip_target" or has_world(data)):
             own = frame_labels(where, settings, labels, data)
-            found += [Coefficient(where, c, station=s) for s in own if s != TIP for c in FRAME_COMPONENTS]
+            held = {name for name, target in campaign.instruments.targets.items() if not target.identify}
+            own = own if where == "world_base" else tuple(s for s in own if s != TIP and s not in held)
+            found += [Coefficient(where, c, station=s) for s in own for c in FRAME_COMPONENTS]
     if not measures_target(data):
         found = [c for c in found if c.where != "tip_target"]
     for things in data.instruments.things.values():
@@ -65,12 +67,16 @@ def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:
             along = {c: abs(float(joint.axis[k % 3])) for k, c in enumerate(FRAME_COMPONENTS)}
             ordered = sorted(FRAME_COMPONENTS, key=lambda c: -round(along[c], 9))
             found += [Coefficient(joint.name, c) for c in ordered]
-        if robot.tip_joint:
-            found += [Coefficient(robot.tip_joint, c) for c in FRAME_COMPONENTS]
-        return tuple(found)
+        ends = dict.fromkeys(limb.tip_joint for limb in robot.limbs if limb.tip_joint)
+        return (*found, *(Coefficient(end, c) for end in ends for c in FRAME_COMPONENTS))
+    if robot.others:
+        raise RobotError(
+            f"parameters.set: {which}: the report's link parameters are those of one chain, and rows take paths to "
+            f"{', '.join(limb.tip for limb in robot.limbs)}. Write `full`"
+        )
     if robot.climbs:
         raise RobotError(
-            f"identify.parameters: {which}: the report's link parameters are those of a chain from its base outwards, and "
+            f"parameters.set: {which}: the report's link parameters are those of a chain from its base outwards, and "
             f"joints move {robot.base!r} here. Write `full`"
         )
     found = []

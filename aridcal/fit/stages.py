@@ -20,6 +20,7 @@ from aridcal.fit.problem import Problem, problem, unscaled
 from aridcal.fit.thing_starts import TIP, beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.instrument_settings import TargetSettings
 from aridcal.instruments.channels import spread
 from aridcal.instruments.pose import residuals
 from aridcal.model.measured import measured, rows_of_data
@@ -124,21 +125,24 @@ def _start(
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
     alone = len(train.blocks) < 2 and train.target is None
-    if alone and np.isfinite(train.position).all():  # every row has measured the place of one target
+    if (
+        alone and train.route is None and np.isfinite(train.position).all()
+    ):  # every row has measured the place of one target
         best, _ = _starts(campaign, robot, train, labels)[0]
         return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
-    bare = Model(robot, (), instruments=train.instruments)
+    bare = Model(robot, (), instruments=train.instruments, routes=train.routes)
     seen = measured(bare, train)
     assert seen is not None
-    R, p = bare.poses(np.zeros(0), bare.rows(train.readings))
+    R, p = bare.poses(np.zeros(0), bare.rows(train.readings, route=train.route))
     world, tip = campaign.frames.world_base, campaign.frames.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     number = np.zeros(len(train), dtype=int)
     if train.target is not None:
         number = np.searchsorted(np.array(names), train.target.astype(str))
-    hints = {k: pin.SE3.Identity() if name == TIP else placement(tip) for k, name in enumerate(names)}
-    fixed = not tip.identify or not measures_target(train)
-    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP}
+    stated = {name: campaign.instruments.targets.get(str(name), tip) for name in names}
+    hints = {k: pin.SE3.Identity() if name == TIP else placement(stated[name]) for k, name in enumerate(names)}
+    fixed = not measures_target(train)
+    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not stated[names[k]].identify}
     known = None if world.identify and has_world(train) else placement(world)
     found = beginning(train, seen, R, p, number, hints, held, known)
     return Model(
@@ -148,6 +152,8 @@ def _start(
         tuple((name, found.tip_target[k]) for k, name in enumerate(names)),
         instruments=train.instruments,
         states=found.states,
+        routes=train.routes,
+        target_on=campaign.instruments.targets_on(robot.tip),
     )
 
 
@@ -274,7 +280,7 @@ def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: 
     return tuple(zip(names, placements, strict=True))
 
 
-def placement(settings: FrameSettings) -> pin.SE3:
+def placement(settings: FrameSettings | TargetSettings) -> pin.SE3:
     """A frame as a campaign states it."""
     return pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
 

@@ -59,7 +59,7 @@ def beginning(
     Args:
         data: N rows.
         seen: What they read.
-        R: Nominal T_base_tip, shape (N, 3, 3).
+        R: Nominal T_base_tip, shape (N, 3, 3); of rows whose things a link carries, T_link_tip.
         p: Its translation, shape (N, 3), [m].
         tip: Number of each row's target, shape (N,).
         hints: T_tip_target of each target where nothing tells it.
@@ -75,6 +75,8 @@ def beginning(
     if posed.any():
         found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
         placed = True
+    starts_on_link = np.array([route.start is not None for route in data.routes])
+    linked = np.zeros(len(data), dtype=bool) if data.route is None else starts_on_link[data.route]
     order = sorted(range(len(seen.blocks)), key=lambda b: seen.blocks[b].kind != "inclination")  # it knows the vertical
     for b in order:
         block = seen.blocks[b]
@@ -83,20 +85,22 @@ def beginning(
         kind, own = seen.of_kind(b)
         if block.kind == "inclination" and world is None and not posed.any():
             found = replace(found, world_base=_levelled(seen, own, R, p, hints, tip, held))
-        targets = sorted(np.unique(tip[own]).tolist(), key=lambda k: -int((tip[own] == k).sum()))
-        for k in targets:
-            rows = _some(own[tip[own] == k], seen, kind)
-            if not placed:
+        pairs = np.unique(np.column_stack([tip[own], linked[own]]), axis=0).tolist()
+        parts = [(k, own[(tip[own] == k) & (linked[own] == carried)], bool(carried)) for k, carried in pairs]
+        for k, rows, carried in sorted(parts, key=lambda part: -len(part[1])):
+            rows = _some(rows, seen, kind)
+            base = pin.SE3.Identity() if carried else found.world_base
+            if not placed and not carried:
                 loose = {name: _unknown(t) for name, t in _things(kind, seen, found.states).items()}
-                first = _started(kind, rows, loose, seen, found, R, p, hints[k], False)
-                base = _placed(kind, first, seen)
-                if base is not None:
-                    found = replace(found, world_base=base, tip_target=found.tip_target | {k: _se3(first.target)})
-                    placed = True
+                first = _started(kind, rows, loose, seen, base, R, p, hints[k], False)
+                there = _placed(kind, first, seen)
+                if there is not None:
+                    found = replace(found, world_base=there, tip_target=found.tip_target | {k: _se3(first.target)})
+                    base, placed = there, True
             known = k in found.tip_target
             target = found.tip_target.get(k, hints[k])
             own_things = _things(kind, seen, found.states)
-            start = _started(kind, rows, own_things, seen, found, R, p, target, known)
+            start = _started(kind, rows, own_things, seen, base, R, p, target, known)
             states = dict(found.states)
             for name, state in start.states.items():
                 states[name] = np.where(np.isnan(states[name]), state, states[name])
@@ -127,7 +131,8 @@ def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) 
                     f"{data.title}: {role.name} {name!r} of {block.name}: its fitted rows, {count}, cannot tell where it is. "
                     "Measure more of it, in other postures, or state its place under `instruments`"
                 )
-            state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
+            if lost.any():
+                state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
             found[role.name] = state
     return found
 
@@ -225,14 +230,13 @@ def _started(
     rows: np.ndarray,
     things: Mapping[str, Things],
     seen: Measured,
-    found: Beginning,
+    base: pin.SE3,
     R: np.ndarray,
     p: np.ndarray,
     target: pin.SE3,
     known: bool,
 ) -> Start:
-    """The best start from some rows of one block."""
-    base = found.world_base
+    """The best start from some rows of one block, whose arm stands on a base."""
     turned = base.rotation @ R[rows]
     places = p[rows] @ base.rotation.T + base.translation
     observed = kind.numbers(seen.observed[rows])

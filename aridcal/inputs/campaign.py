@@ -32,7 +32,7 @@ from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Set
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.robot.chain import Robot, load_robot, with_limbs
 from aridcal.robot.drive import Stated
 
 if TYPE_CHECKING:
@@ -273,7 +273,7 @@ class Job(Settings):
     @model_validator(mode="after")
     def _instruments_are_used(self) -> Job:
         kinds = {block.kind for block in self.blocks}
-        if self.instruments.model_fields_set and kinds.isdisjoint(REFERRING):
+        if self.instruments.model_fields_set - {"targets"} and kinds.isdisjoint(REFERRING):
             raise ValueError(
                 "instruments: no block's rows refer to such things; delete this key, or add a block of "
                 f"`kind: {' or '.join(REFERRING)}`"
@@ -358,6 +358,16 @@ def nominal_robot(job: Job) -> Robot:
     robot = load_robot(
         named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments, named.stated
     )
+    links = job.instruments.links
+    if links:
+        names = {frame.name for frame in robot.tree.frames}
+        for link, key in links.items():
+            if link not in names:
+                raise CampaignError(
+                    f"{job.path}: instruments.{key}: no link {shortened(link)!r} in {robot.path.name}{nearest(link, names)}; "
+                    "write tip, world or a link of the URDF"
+                )
+        robot = with_limbs(robot, tuple(links))
     for name in named.controller_zeros:
         if name not in robot.readings:
             raise CampaignError(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -22,8 +24,10 @@ LEAST_NORMAL = 1e-9
 Side = Annotated[int, Field(ge=1, le=100_000)]
 """Of an image, [px]: the largest sensors have some 15,000."""
 
-Carrier = Literal["tip", "world"]
-"""What a camera or a board is fixed to."""
+TIP, WORLD = "tip", "world"
+
+Carrier = str
+"""What something is fixed to: ``tip``, ``world``, or a link of the URDF."""
 
 
 def _as_label(label: Any) -> Any:
@@ -91,7 +95,8 @@ class AnchorSettings(Section):
     """Where a wire, a ballbar or a distance sensor is fixed: reading = scale * distance + offset."""
 
     xyz: Vector3 | None = None
-    """In the world frame, [m]; a hint if it is identified."""
+    """In the world frame or the link's, [m]; a hint if it is identified."""
+    on: Carrier = WORLD
     offset: Number | None = None
     """[m]; 0 where it is neither stated nor identified."""
     scale: Positive = 1.0
@@ -122,7 +127,8 @@ class PlaneSettings(Section):
     """A plane: all x with normal . x = offset."""
 
     normal: Vector3 | None = None
-    """In the world frame, of any length; a hint if it is identified."""
+    """In the world frame or the link's, of any length; a hint if it is identified."""
+    on: Carrier = WORLD
     offset: Number | None = None
     """Along the unit normal, [m]."""
     identify: bool = True
@@ -166,7 +172,7 @@ class ArmCameraSettings(Placement):
     """Of the images, [px]."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
-    on: Carrier = "tip"
+    on: Carrier = TIP
     identify: tuple[Literal["place", "f", "c", "distortion"], ...] = ("place",)
 
     @model_validator(mode="after")
@@ -190,9 +196,9 @@ class ArmCameraSettings(Placement):
 
     @property
     def state(self) -> list[float]:
-        """Place, intrinsics, and 1 for a camera on the tip."""
+        """Place, intrinsics, and 1 for a camera on the tip or on a link: the path then leads from what it sees to the camera."""
         known = self.given or "place" not in self.identify
-        return [*self.place(known), *self.intrinsics.tolist(), float(self.on == "tip")]
+        return [*self.place(known), *self.intrinsics.tolist(), float(self.on != WORLD)]
 
     @property
     def free(self) -> list[bool]:
@@ -217,17 +223,45 @@ class MarkerSettings(Placement):
         return self
 
 
+class TargetSettings(Placement):
+    """A target with a name: where it is on what carries it; a hint if it is identified."""
+
+    on: Carrier = TIP
+    identify: bool = True
+
+
+class PointSettings(Section):
+    """What is known of points, and what carries them."""
+
+    file: RelativePath | None = None
+    """Table of those whose coordinates are known: point, x, y, z, std, and perhaps on."""
+    on: Carrier = WORLD
+    """Carries all of which the table does not say it."""
+
+
+def _as_points(value: Any) -> Any:
+    """Let a file stand for {file: it}."""
+    return value if value is None or isinstance(value, dict | PointSettings) else {"file": value}
+
+
+def _as_boards(value: Any) -> Any:
+    """Let one board stand for a list of one."""
+    return value if isinstance(value, list | tuple) else (value,)
+
+
 class InstrumentSettings(Section):
     """All that is known beforehand."""
 
-    points: RelativePath | None = None
-    """Table of points whose coordinates in the world frame are known: point, x, y, z, std."""
+    targets: dict[str, TargetSettings] = Field(default_factory=dict)
+    points: Annotated[PointSettings, BeforeValidator(_as_points)] = PointSettings()
     lengths: tuple[LengthSettings, ...] = ()
     anchors: dict[str, AnchorSettings] = Field(default_factory=dict)
     planes: dict[str, PlaneSettings] = Field(default_factory=dict)
     perpendicular: tuple[Annotated[RightAngleSettings, BeforeValidator(_pair)], ...] = ()
     cameras: dict[str, ArmCameraSettings] = Field(default_factory=dict)
-    markers: MarkerSettings = MarkerSettings()
+    markers: Annotated[tuple[MarkerSettings, ...], BeforeValidator(_as_boards), Field(min_length=1)] = (
+        MarkerSettings(),
+    )
 
     @property
     def declared(self) -> dict[str, tuple[str, ...]]:
@@ -236,18 +270,51 @@ class InstrumentSettings(Section):
 
     @property
     def sides(self) -> dict[str, Carrier]:
-        """What carries the board that each camera looks at: not what carries the camera."""
-        return {name: "world" if camera.on == "tip" else "tip" for name, camera in self.cameras.items()}
+        """What carries the markers of no table that each camera looks at: not what carries the camera, unless that is said."""
+        stated = [board.on for board in self.markers if board.on is not None and board.file is None]
+        usual = {name: TIP if camera.on == WORLD else WORLD for name, camera in self.cameras.items()}
+        return {name: stated[0] if stated else side for name, side in usual.items()}
+
+    @property
+    def boards(self) -> dict[Carrier, MarkerSettings]:
+        """Boards of which the markers' places are known, by what carries them."""
+        other = next(iter(self.sides.values()), WORLD)
+        return {board.on or other: board for board in self.markers if board.file is not None}
+
+    def targets_on(self, tip: str) -> dict[str, str]:
+        """Links other than the robot's tip that carry targets, by the targets' labels."""
+        return {name: target.on for name, target in self.targets.items() if target.on not in (TIP, tip)}
+
+    @property
+    def tables(self) -> tuple[Path, ...]:
+        """Files that it names."""
+        named = (self.points.file, *(board.file for board in self.markers))
+        return tuple(path for path in named if path is not None)
+
+    @property
+    def links(self) -> dict[str, str]:
+        """Links of the URDF that it names, and the key that does."""
+        things: dict[str, Mapping[str, Any]] = {
+            "targets": self.targets, "anchors": self.anchors, "planes": self.planes, "cameras": self.cameras
+        }  # fmt: skip
+        named = {thing.on: f"{key}.{name}.on" for key, of in things.items() for name, thing in of.items()}
+        named |= {board.on: f"markers[{k}].on" for k, board in enumerate(self.markers) if board.on is not None}
+        named[self.points.on] = "points.on"
+        return {link: key for link, key in named.items() if link not in (TIP, WORLD)}
 
     @model_validator(mode="after")
     def _board_moves_in_the_images(self) -> InstrumentSettings:
-        on, sides = self.markers.on, set(self.sides.values())
-        if on is not None and sides and on not in sides:
-            raise ValueError(
-                f"markers.on: the cameras are on the {on}, too: no marker moves in their images; write the other"
-            )
-        if on is None and self.markers.file is not None and len(sides) > 1:
-            raise ValueError("markers.on: there are cameras on the tip and in the world; say where this board is")
+        carriers = {camera.on for camera in self.cameras.values()}
+        for board in self.markers:
+            if board.on is not None and carriers == {board.on}:
+                what = f"the {board.on}" if board.on in (TIP, WORLD) else f"{board.on}"
+                raise ValueError(
+                    f"markers.on: the cameras are on {what}, too: no marker moves in their images; write another"
+                )
+            if board.on is None and board.file is not None and len(set(self.sides.values())) > 1:
+                raise ValueError("markers.on: there are cameras on the tip and in the world; say where this board is")
+        if len(self.boards) < sum(board.file is not None for board in self.markers):
+            raise ValueError("markers: two tables are of one carrier; put their markers in one table, in one frame")
         return self
 
     @model_validator(mode="after")

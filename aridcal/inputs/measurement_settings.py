@@ -337,6 +337,8 @@ class MeasurementSettings(Section):
     """Of the block; `None`: its kind."""
     camera: str | None = None
     """Which took the images, where the table of `pixels` has no column `camera`."""
+    target: str | None = None
+    """Which target was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
     """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
     noise: Noise = Noise()

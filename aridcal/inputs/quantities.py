@@ -144,19 +144,32 @@ class Source:
         """Say something about a column, or about the whole table."""
         self.notices.append(Remark(self.table.files[0].name, None, column, "", why))
 
-    def joints(self, kinds: Sequence[JointKind]) -> np.ndarray:
-        """All readings, shape (N, columns), [rad] or [m]; rows that lack one are refused.
+    def joints(self, kinds: Sequence[JointKind], needed: np.ndarray | None = None) -> np.ndarray:
+        """All readings, shape (N, columns), [rad] or [m]; rows that lack one that they need are refused.
 
         Args:
             kinds: Of each joint: prismatic ones are in units of length.
+            needed: Which joints a row needs, shape (N, columns) bool: the others are 0 where a cell is empty; None: all.
 
         Raises:
-            MeasurementError: a joint has no column.
+            MeasurementError: a joint that is needed has no column.
         """
+        if needed is not None and not needed.all():
+            return self._joints_of_paths(kinds, needed)
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(self.joint_columns, advice)
         own = counting(self.settings, self.joint_names, kinds)
         return own.of_shown(self.needed(self.joint_columns, own.unit))
+
+    def _joints_of_paths(self, kinds: Sequence[JointKind], needed: np.ndarray) -> np.ndarray:
+        """Readings of joints that not every row needs."""
+        asked = [self.joint_columns[k] for k in np.flatnonzero(needed.any(axis=0)).tolist()]
+        advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
+        self.table.require(asked, advice)
+        q = self.seeds(kinds)
+        for k, name in enumerate(self.joint_columns):
+            self.refuse(needed[:, k] & np.isnan(q[:, k]), name, "not a number, and the joint is on the row's path")
+        return np.where(np.isnan(q), 0.0, q)
 
     def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
         """Readings where there are some, NaN elsewhere; nothing is refused."""

@@ -26,6 +26,7 @@ from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, Measur
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
+from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
@@ -34,7 +35,7 @@ from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
-from aridcal.robot.chain import JointKind
+from aridcal.robot.chain import JointKind, Robot, Route, check_route
 
 if TYPE_CHECKING:
     from aridcal.inputs.tables import AnyTable, Table
@@ -59,6 +60,7 @@ class _Asked:
     fitted: bool
     own_files: bool
     known: Known
+    robot: Robot | None
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,7 @@ def load_measurements(
     files: Sequence[AnyTable] | None = None,
     require_pose: bool = True,
     fitted: bool = True,
+    robot: Robot | None = None,
 ) -> Dataset:
     """Read the measurements of a campaign.
 
@@ -92,6 +95,7 @@ def load_measurements(
             columns it has.
         require_pose: False for rows that measure something else than the target; then `position` is NaN.
         fitted: False for rows that are scored only: their stations and labels need no training rows.
+        robot: Through whose tree rows take paths, where anything that they refer to is on a link of its own.
 
     Raises:
         CampaignError: `columns` names an unknown quantity, or what is known of the instruments cannot be used.
@@ -99,7 +103,8 @@ def load_measurements(
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     known, own = known_of(campaign), files is None
-    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known)
+    robot = robot if robot is not None and robot.others else None
+    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
     if not parts[0].rows.blocks:
@@ -149,7 +154,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
-    q = source.joints(kinds)
+    q = source.joints(kinds) if asked.robot is None else np.zeros((len(table), len(kinds)))
     of_target = asked.require_pose and settings.kind in OF_TARGETS
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
@@ -160,12 +165,17 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
             position = source.position()
         std = source.std()
     target = _words(source, TARGET) if TARGET in settings.own_columns else None
-    plain = not asked.require_pose or (alone and of_target and target is None)
+    if target is None and settings.target is not None:
+        target = np.full(len(table), settings.target)
+    plain = not asked.require_pose or (alone and of_target and target is None and not campaign.instruments.links)
     observed = position if of_target or plain else _observed(source)
     refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
     if not (of_target or plain):
         camera = refers[:, 0] if settings.kind == "pixels" else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
+    if asked.robot is not None:
+        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip)
+        q = source.joints(kinds, needed_columns(asked.robot, paths))
     station = source.labels("station", needed="station" if per_station(campaign) else "")
     split = source.split()
     covariates = source.covariates()
@@ -294,22 +304,26 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
     n = len(source.table)
     labels: dict[str, np.ndarray] = {}
     for role in KINDS[settings.kind].roles:
-        if role.name in ("point", "marker"):
-            words = source.labels(role.name, needed=settings.kind)
-        elif role.name == "board":
-            boards = {name: known.board_of(name) for name in np.unique(labels["camera"]).tolist()}
-            words = np.array([boards[name] for name in labels["camera"].tolist()])
-        else:
-            words = _words(source, role.name)
+        if role.name == "board":  # what carries the marker, once that is known
+            continue
+        words = (
+            source.labels(role.name, needed=settings.kind)
+            if role.name in ("point", "marker")
+            else _words(source, role.name)
+        )
         if words is None:
             words = np.full(n, _default(asked.campaign, settings, role.name))
         if role.name == "camera":
             words = _declared_cameras(source, words, known)
         labels[role.name] = words
-    if known.markers and "marker" in labels:
-        missing = (labels["board"] == known.board) & ~np.isin(labels["marker"], sorted(known.markers))
-        file = known.settings.markers.file
-        source.refuse(missing, source.column("marker"), f"no such marker in {file.name if file else 'the board'}")
+    if "marker" in labels:
+        pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
+        labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
+        labels = {role.name: labels[role.name] for role in KINDS[settings.kind].roles}
+    for board, stated in known.boards.items() if "marker" in labels else ():
+        missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
+        assert stated.file is not None
+        source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
     made = [*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))]
     return np.column_stack(made)
 
@@ -374,8 +388,30 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     rows = replace(rows, refers=with_trackers(rows.refers, rows.blocks, rows.block, asked.readings))
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
+    if asked.robot is not None:
+        rows = _with_routes(rows, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
+
+
+def _with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
+    """The rows with the paths that they take.
+
+    Raises:
+        RobotError: no joint moves on one of them.
+    """
+    paths = [Route()] * len(rows)
+    for number, block in enumerate(rows.blocks):
+        own = np.flatnonzero(rows.block == number)
+        target = None if rows.target is None else rows.target[own]
+        for k, path in zip(
+            own.tolist(), routes_of(known, block.kind, rows.refers[own], target, robot.tip), strict=True
+        ):
+            paths[k] = path
+    routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
+    for path in routes[1:]:
+        check_route(robot, path)
+    return replace(rows, routes=routes, route=route)
 
 
 def _counted_on(table: Table) -> np.ndarray:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from aridcal.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.inputs.campaign import Job
 from aridcal.inputs.instrument_settings import (
     BEYOND,
+    WORLD,
     AnchorSettings,
     InstrumentSettings,
     LengthSettings,
+    MarkerSettings,
     Placement,
     PlaneSettings,
 )
@@ -48,10 +51,12 @@ class KnownPlace:
     Attributes:
         xyz: Shape (3,), [m].
         std: 1-sigma of each coordinate, [m]; infinite where they are exact.
+        on: What carries it; empty where the table does not say it.
     """
 
     xyz: np.ndarray
     std: float = np.inf
+    on: str = ""
 
 
 def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPlace]:
@@ -73,6 +78,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
     labels, values = table.texts(key), table.matrix(numbers)
+    on = table.texts("on") if key == "point" and "on" in table.names else np.full(len(labels), "")
     places: dict[str, KnownPlace] = {}
     for row, (label, cells) in enumerate(zip(labels.tolist(), values, strict=True)):
         check_name(label, str(table.remark(row, key, "a label", "")), MeasurementError)
@@ -85,7 +91,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
                 what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
                 raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
-        places[label] = KnownPlace(cells[:3], std)
+        places[label] = KnownPlace(cells[:3], std, str(on[row]).strip())
     if np.median(np.linalg.norm(values[:, :3], axis=1)) > FAR:
         raise MeasurementError(
             f"{table.title}: x y z cannot be in m: most are more than {FAR:g} m away; give them in metres"
@@ -100,7 +106,7 @@ class Known:
     Attributes:
         settings: ``instruments`` of the campaign.
         points: Known points by their labels.
-        markers: Markers of the board by their labels; none where there is no board.
+        markers: Markers of boards by their labels, each on what carries its board; none where there is no board.
         origin: The campaign, for messages.
     """
 
@@ -109,14 +115,33 @@ class Known:
     markers: dict[str, KnownPlace]
     origin: str
 
-    def board_of(self, camera: str) -> str:
-        """Name of the board that a camera looks at."""
-        return BOARD + self.settings.sides[camera]
+    def board_of(self, camera: str, marker: str = "") -> str:
+        """Name of the board of a marker that a camera looks at; without one, of markers that are in no table."""
+        return BOARD + (self.markers[marker].on if marker in self.markers else self.settings.sides[camera])
 
-    @property
-    def board(self) -> str:
-        """Name of the board whose markers are known."""
-        return BOARD + (self.settings.markers.on or next(iter(self.settings.sides.values()), "world"))
+    @cached_property
+    def boards(self) -> dict[str, MarkerSettings]:
+        """Boards whose markers are known, by their names."""
+        return {BOARD + carrier: board for carrier, board in self.settings.boards.items()}
+
+    def carrier(self, role: str, label: str) -> str:
+        """What carries a thing: ``tip``, ``world`` or a link."""
+        settings = self.settings
+        if role == "anchor" and label in settings.anchors:
+            return settings.anchors[label].on
+        if role == "plane" and label in settings.planes:
+            return settings.planes[label].on
+        if role == "camera":
+            return settings.cameras[label].on
+        if role == "board":
+            return label.removeprefix(BOARD)
+        if role == "point":
+            return (label in self.points and self.points[label].on) or settings.points.on
+        return WORLD
+
+    def linked(self, role: str, label: str) -> bool:
+        """True if a link carries a thing, the tip or another."""
+        return self.carrier(role, label) != WORLD
 
     def beforehand(self, role: Role, label: str, on_board: bool) -> tuple[Sequence[float], Sequence[bool], float]:
         """State of one thing, which components of it are identified, and the sigma of those of which something is known.
@@ -138,9 +163,9 @@ class Known:
         if role.name == "camera":
             return settings.cameras[label].state, settings.cameras[label].free, np.inf
         if role.name == "board":
-            if not (self.markers and label == self.board):  # each marker is a point of what carries it
+            if label not in self.boards:  # each marker is a point of what carries it
                 return Placement().place(known=True), 6 * [False], np.inf
-            markers = settings.markers
+            markers = self.boards[label]
             return markers.place(markers.given or not markers.identify), 6 * [markers.identify], np.inf
         places = self.points if role.name == "point" else self.markers if on_board else {}
         if label not in places:
@@ -155,8 +180,14 @@ def known_of(campaign: Job) -> Known:
         MeasurementError: one of them cannot be read.
     """
     settings, limit = campaign.instruments, campaign.limits.table
-    points = load_places(settings.points, "point", limit) if settings.points else {}
-    markers = load_places(settings.markers.file, "marker", limit) if settings.markers.file else {}
+    points = load_places(settings.points.file, "point", limit) if settings.points.file else {}
+    markers: dict[str, KnownPlace] = {}
+    for carrier, board in settings.boards.items():
+        assert board.file is not None
+        for label, place in load_places(board.file, "marker", limit).items():
+            if label in markers:
+                raise MeasurementError(f"{board.file}: the marker {label!r} is on {markers[label].on}, too; rename one")
+            markers[label] = replace(place, on=carrier)
     return Known(settings, points, markers, str(campaign.path))
 
 
@@ -218,11 +249,12 @@ def instruments_of(
     _check_names(seen, joints)
     things = {}
     for name, role in roles.items():
-        found = [known.beforehand(role, label, board.get(label) == known.board) for label in seen[name]]
+        found = [known.beforehand(role, label, board.get(label) in known.boards) for label in seen[name]]
         free = np.array([free for _, free, _ in found], dtype=bool).reshape(len(found), len(role.components))
         std = np.where(free, np.array([std for *_, std in found]).reshape(-1, 1), np.inf)
         start = np.array([state for state, _, _ in found], dtype=float).reshape(len(found), role.size)
-        things[name] = Things(role, seen[name], start, free, std)
+        linked = frozenset(label for label in seen[name] if known.linked(name, label))
+        things[name] = Things(role, seen[name], start, free, std, linked)
     ties = (*_lengths(known, seen, complete), *_right_angles(known, seen, complete))
     remarks = [*_too_few(blocks, things, counts, ties), *_never_seen(known, seen)] if complete else []
     return Instruments(things, ties, _in_world(known, blocks, things)), remarks
@@ -363,9 +395,8 @@ def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -
     }
     for name, of_role in things.items():
         for label, free, std in zip(of_role.names, of_role.free, of_role.std, strict=True):
-            on_tip = name == "camera" and known.settings.cameras[label].on == "tip"
-            of_board = name == "board" and not (known.markers and label == BOARD + "world" == known.board)
-            if name in place and not on_tip and not of_board:
+            of_board = name == "board" and label not in known.boards
+            if name in place and known.carrier(name, label) == WORLD and not of_board:
                 part = place[name]
                 if not (free[part] & ~np.isfinite(std[part])).any():
                     return True

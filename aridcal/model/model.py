@@ -134,6 +134,7 @@ class Model:
         instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
         states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
         routes: The paths that rows take.
+        target_on: Links that carry targets, by the targets' labels; all others are on the tip.
     """
 
     robot: Robot
@@ -144,6 +145,7 @@ class Model:
     instruments: Instruments = field(default_factory=Instruments)
     states: Mapping[str, np.ndarray] = field(default_factory=dict)
     routes: tuple[Route, ...] = (Route(),)
+    target_on: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -174,7 +176,7 @@ class Model:
             covariates: Columns that the bases depend on, each of shape (N,).
             station: Label of each row; needed where a frame is per station.
             target: Label of each row's target, where there are several.
-            route: Number of each row's path among ``routes``; default: the first.
+            route: Number of each row's path among ``routes``; default: from the world to what carries the row's target.
 
         Raises:
             CovariateNotFound: an effect depends on a column that was not measured.
@@ -184,6 +186,10 @@ class Model:
         at_tip = station if target is None else target
         world = _frame_index(self.world_base, station, n)
         tip = _frame_index(self.tip_target, at_tip, n, "station" if target is None else "target")
+        if route is None and len(self.routes) > 1:
+            route = np.array(
+                [self.routes.index(self._route_to(label)) for label in _labels(at_tip, n).tolist()], dtype=int
+            )
         varying = [self.coefficients[k] for k in self._based]
         wanted = {name for c in varying for name in c.basis.of}
         if "payload" in self.needs and "payload" not in (covariates or {}):
@@ -350,7 +356,7 @@ class Model:
             MeasurementError: the station is none of those that the model knows.
         """
         if self._divided:
-            arm = self._arms[0]
+            arm = self._arm_of(self._route_to(station or ""))
             locked = arm.model.locked(theta[arm.own], station)
             carrier = np.full(len(theta), -1)
             carrier[arm.own] = locked.carrier
@@ -415,6 +421,10 @@ class Model:
             columns=np.array([columns[name] for name in chain.readings], dtype=int),
             in_world=route.start is None,
         )
+
+    def _route_to(self, label: str) -> Route:
+        """The path from the world to a target, or the only one that there is."""
+        return self.routes[0] if len(self.routes) == 1 else Route(None, self.target_on.get(label))
 
     def _corrects(self, c: Coefficient, chain: Robot, places: Collection[str]) -> bool:
         """True if a coefficient at a joint of a path moves what is beyond: a link's parameters act where the next origin is.

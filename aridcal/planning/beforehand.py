@@ -125,6 +125,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
             f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
         )
+    if robot.others:
+        raise CampaignError(
+            f"{campaign.path}: instruments: poses of several limbs are not planned: plan each in a campaign of its own, with "
+            "things on the tip and in the world"
+        )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
     remarks = (ANGLES_ALONE,) if kind == "inclination" else ()
@@ -154,7 +159,7 @@ def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
 def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
     """Frames, constants and declared effects from the rows that are there."""
     progress("reading the measurements")
-    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds))
+    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
     labels = station_labels(campaign, rows)
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
     geometry = fit_constants(campaign, robot, rows, labels, progress)
@@ -280,7 +285,7 @@ def _referred(campaign: Campaign, known: Known) -> np.ndarray:
         found = [("", "", "")]
     elif kind == "pixels":
         cameras = [settings.camera] if settings.camera else list(declared["camera"])
-        found = [(camera, known.board_of(camera), marker) for camera in cameras for marker in known.markers]
+        found = [(camera, known.board_of(camera, marker), marker) for camera in cameras for marker in known.markers]
     else:
         role = KINDS[kind].roles[0].name
         found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]

@@ -267,7 +267,7 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
     camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)
     seen = in_image(R, p, states, size)
-    if known.campaign.instruments.markers.file is not None:
+    if known.campaign.instruments.boards:
         seen &= faces(R, p, states[0], states[1])
     few = seen.reshape(n, m).sum(axis=1) < min(FEWEST, m)
     some = np.flatnonzero(seen & ~np.repeat(few, m))

@@ -100,7 +100,7 @@ def draft(
     if any(isinstance(table, pd.DataFrame) for table in tables):
         campaign = campaign.with_tables(tables)
     robot = proposal.robot
-    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot)
     return Draft(campaign, proposal, rows)
 
 

@@ -185,7 +185,7 @@ def _rows(
     """The sample as other settings read it."""
     changed = campaign.model_copy(update={"measurements": settings})
     return changed, load_measurements(
-        changed, robot.readings, robot.limits, robot.kinds, files=[table], fitted=False
+        changed, robot.readings, robot.limits, robot.kinds, robot=robot, files=[table], fitted=False
     )  # fmt: skip
 
 

@@ -115,13 +115,14 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
     places: list[np.ndarray | None] = []
     printed = []
     for side in sides:
-        board = bool(known.markers) and known.board == BOARD + side
+        stated_board = known.boards.get(BOARD + side)
+        board = stated_board is not None
         if board:
-            labels = tuple(known.markers)
+            labels = tuple(label for label, place in known.markers.items() if place.on == side)
             xyz = np.array([known.markers[label].xyz for label in labels])
             std = np.array([known.markers[label].std for label in labels])
             xyz = xyz + np.where(np.isfinite(std), std, 0.0)[:, None] * rng.standard_normal(xyz.shape)
-            stated = things.board or (settings.markers if settings.markers.given else None)
+            stated = things.board or (stated_board if stated_board is not None and stated_board.given else None)
             place = None if stated is None else stated.homogeneous
         elif isinstance(things.markers, dict):
             labels, place = tuple(things.markers), np.eye(4)

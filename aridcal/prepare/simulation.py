@@ -91,6 +91,10 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     check_scenario(scenario)
     truth = scenario.truth
     robot = nominal_robot(scenario)
+    if robot.others:
+        raise CampaignError(
+            f"{scenario.path}: instruments: things on links of their own are measured, not simulated: write tip or world"
+        )
     constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
@@ -290,7 +294,14 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
     for name, place in scenario.robot.packages.items():
         keys["robot"]["packages"][name] = Path(os.path.relpath(place, home)).as_posix()
     known, named = scenario.instruments, keys.get("instruments", {})
-    for path, part, key in ((known.points, named, "points"), (known.markers.file, named.get("markers", {}), "file")):
+    if "points" in named and set(named["points"]) == {"file"}:
+        named["points"] = named["points"]["file"]
+    if len(named.get("markers", ())) == 1:
+        named["markers"] = named["markers"][0]
+    boards = named.get("markers", {})
+    parts = [(known.points.file, named if isinstance(named.get("points"), str) else named.get("points", {}))]
+    parts += zip((board.file for board in known.markers), boards if isinstance(boards, list) else [boards], strict=True)
+    for (path, part), key in zip(parts, ["points" if part is named else "file" for _, part in parts], strict=True):
         if path is not None:
             part[key] = Path(os.path.relpath(path, home)).as_posix() if beside else path.name
             if not beside:

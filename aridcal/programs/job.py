@@ -143,8 +143,13 @@ def _refuse_coupled(robot: Robot) -> None:
     """Refuse an arm whose axes nobody can tell from its readings.
 
     Raises:
-        CampaignError: a joint of it follows several others.
+        CampaignError: a joint of it follows several others, or it has several limbs.
     """
+    if robot.others:
+        raise CampaignError(
+            f"the calibration is of several limbs ({', '.join(limb.tip for limb in robot.limbs)}), and a program moves one: "
+            "calibrate that arm in a campaign of its own, or give a table of poses to `aridcal compensate`"
+        )
     for joint in robot.joints:
         if len(joint.drive.factors) > 1:
             raise CampaignError(

@@ -40,6 +40,12 @@ class RobotPart(Section):
     """Where joints without a column stand."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
     """Factors of joints that follow several others."""
+    limbs: tuple[str, ...] = ()
+    """Further links to which paths lead from the base."""
+    routes: tuple[tuple[str | None, str | None], ...] = ((None, None),)
+    """Paths that rows took: from a link, or the world, to a link, or the tip."""
+    targets: dict[str, str] = Field(default_factory=dict)
+    """Links that carry targets, by the targets' labels."""
     urdf: str
 
     @property

@@ -147,16 +147,17 @@ def by_region(outcome: Outcome) -> Regions | None:
 
 def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
     """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
-    robot, calibrated = outcome.robot, handover.calibrated
+    robot, nominal, calibrated = outcome.robot, outcome.robot.main, handover.calibrated.main
+    limb = [f"Of the chain from {nominal.base} to {nominal.tip} alone."] if robot.others else []
 
     def write(name: str, text: str, export: str, *notes: str) -> None:
         lines = [*_statement(handover, export), *notes]
         (folder / name).write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
 
-    write("kinematics.yaml", kinematics_yaml(robot, calibrated), "URDF alone")
+    write("kinematics.yaml", kinematics_yaml(nominal, calibrated), "URDF alone", *limb)
     for name, table in (("dh.yaml", standard_dh(calibrated)), ("dh_modified.yaml", modified_dh(calibrated))):
-        write(name, table.dump(), "URDF alone", *table.warnings)
-    write("doty.yaml", doty_yaml(calibrated), "URDF alone")
+        write(name, table.dump(), "URDF alone", *limb, *table.warnings)
+    write("doty.yaml", doty_yaml(calibrated), "URDF alone", *limb)
     text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
     taken = [name for name in robot.readings if name not in handover.offsets]
     write(

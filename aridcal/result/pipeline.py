@@ -386,7 +386,9 @@ def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -
         AridcalError: the table needs mending, or it has the campaign's own rows alone.
     """
     limits, kinds = robot.limits, robot.kinds
-    rows = with_directions(load_measurements(campaign, robot.readings, limits, kinds, files=[table], fitted=False))
+    rows = with_directions(
+        load_measurements(campaign, robot.readings, limits, kinds, robot=robot, files=[table], fitted=False)
+    )
     copied = _copied(rows, own)
     if copied.all() or rows.sha256 == own.sha256:
         raise MeasurementError(

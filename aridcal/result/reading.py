@@ -94,7 +94,7 @@ def read_rows(
         from aridcal.head.detections import read_shots
 
         return read_shots(campaign, robot, cache, seed, progress, lens)
-    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed))
+    return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed, robot=robot))
 
 
 def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ from aridcal.result.calibration_file import (
     untold_document,
     untold_of,
 )
-from aridcal.robot.chain import Route, parse_robot, with_limbs
+from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
 from aridcal.robot.drive import Stated
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
@@ -234,7 +234,8 @@ class SavedModel:
         if inside is None and link == robot.base:
             raise RobotError(f"the base {link!r} does not move in the world: name another link")
         route = Route(inside, link)
-        robot = with_limbs(robot, (Route(), route))
+        check_route(robot, route)
+        robot = with_limbs(robot, [limb.tip for limb in robot.others] + [end for end in route if end is not None])
         models = [
             replace(solved, model=replace(solved.model, robot=robot, tip_target=(), routes=(route,)))
             for solved in (self.geometric, self.final)
@@ -375,6 +376,7 @@ class SavedModel:
                 "urdf_encoding": encoding,
                 **({"joints": dict(robot.stated.joints)} if robot.stated.joints else {}),
                 **({"coupled": _plain(robot.stated.coupled)} if robot.stated.coupled else {}),
+                **(_paths_document(self.final.model) if robot.others else {}),
                 "urdf": _Block(robot.urdf.decode(encoding)),
             },
             "noise": {"position": self.noise[0], "rotation": self.noise[1]},
@@ -427,6 +429,15 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
     }
 
 
+def _paths_document(model: Model) -> dict[str, Any]:
+    """Limbs of a robot that has several, the paths that rows took, and what carries which target."""
+    return {
+        "limbs": [limb.tip for limb in model.robot.others],
+        "routes": [list(route) for route in model.routes],
+        "targets": dict(model.target_on),
+    }
+
+
 def _by_place(model: Model) -> bool:
     """True if a coefficient depends on where the target is."""
     return any(name in TARGET for c in model.coefficients for name in c.basis.of)
@@ -442,6 +453,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
     about = document.robot
     stated = Stated(about.joints, about.coupled)
     robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=stated)
+    robot = with_limbs(robot, about.limbs) if about.limbs else robot
+    paths: dict[str, Any] = {"routes": tuple(Route(*ends) for ends in about.routes), "target_on": about.targets}
     middle = {name: (low + high) / 2 for name, (low, high) in document.ranges.items()}
 
     def solved(part: SolvedPart) -> SolvedModel:
@@ -453,7 +466,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         loads = part.loads
         sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
         around = Surroundings(np.array(loads.gravity), np.array(loads.payload_at), loads.payload, sights)
-        model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around)
+        model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around, **paths)
         theta = np.array([e.value for e in entries], dtype=float)
         found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))
         _try(found, middle)

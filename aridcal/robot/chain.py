@@ -285,7 +285,8 @@ def parse_robot(
 
 def same_chain(robot: Robot, urdf: bytes) -> Robot:
     """The same chain of another URDF of the robot, that with corrected origins."""
-    return parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
+    made = parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
+    return with_limbs(made, [limb.tip for limb in robot.others]) if robot.others else made
 
 
 class Route(NamedTuple):
@@ -300,26 +301,35 @@ class Route(NamedTuple):
     end: str | None = None
 
 
-def with_limbs(robot: Robot, routes: Sequence[Route]) -> Robot:
-    """The same robot with the joints of all paths that rows take.
+def with_limbs(robot: Robot, links: Sequence[str]) -> Robot:
+    """The same robot with the joints between its base and further links, each once.
 
     Raises:
-        RobotError: a link is not there, or no joint is between the two ends of a route.
+        RobotError: a link is not there.
     """
-    links = [link for route in routes for link in (route.end, route.start) if link not in (None, robot.tip, robot.base)]
-    others = tuple(robot.between(None, link) for link in dict.fromkeys(links))
-    for route in routes:
-        if not robot.between(*route).joints:
-            raise RobotError(
-                f"{robot.path}: no joint moves between {route.start or robot.base!r} and {route.end or robot.tip!r}"
-            )
+    others = [robot.between(None, link) for link in dict.fromkeys(links) if link not in (robot.tip, robot.base)]
     every = (robot.main, *others)
     joints = {joint.name: joint for limb in reversed(every) for joint in limb.joints}
     order = dict.fromkeys(joint.name for limb in every for joint in limb.joints)
     columns = {column.name: column for limb in every for column in limb.columns}
     return replace(
-        robot.main, joints=tuple(joints[name] for name in order), columns=tuple(columns.values()), others=others
+        robot.main,
+        joints=tuple(joints[name] for name in order),
+        columns=tuple(columns.values()),
+        others=tuple(others),
     )
+
+
+def check_route(robot: Robot, route: Route) -> None:
+    """Make sure that a joint moves between the two ends of a path.
+
+    Raises:
+        RobotError: none does.
+    """
+    if not robot.between(*route).joints:
+        raise RobotError(
+            f"{robot.path}: no joint moves between {route.start or robot.base!r} and {route.end or robot.tip!r}"
+        )
 
 
 def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False) -> Robot:

@@ -150,7 +150,7 @@ def align(direction: np.ndarray) -> pin.SE3:
 
 
 def doty_links(robot: Robot) -> tuple[Link, ...]:
-    """Describe a chain by Doty's link parameters, one link per moving joint, base to tip.
+    """Describe the chain base -> tip by Doty's link parameters, one link per moving joint.
 
     F_0 is the first joint's frame with z turned onto its axis; F_i ends link i, with z on the axis of joint i + 1 (on
     the tip's z for the last link). So each joint adds to theta or d of its own link alone, as equation (3-4) asks.
@@ -162,7 +162,7 @@ def doty_links(robot: Robot) -> tuple[Link, ...]:
         The links. At a singular one theta turns x onto the common normal z_{i-1} x z_i (0 where the two are parallel),
         beta = a = 0, ``before`` climbs to the foot of the next axis, and ``after`` holds the rest.
     """
-    joints = robot.joints
+    joints = robot.main.joints
     steps = zip(robot.onward[1:-1], joints[1:], strict=True)
     ends: list[tuple[pin.SE3, np.ndarray, str | None]] = [(step, j.along, j.name) for step, j in steps]
     ends.append((robot.onward[-1], np.array([0.0, 0.0, 1.0]), robot.tip_joint))
@@ -176,7 +176,8 @@ def doty_links(robot: Robot) -> tuple[Link, ...]:
 
 def links_down(robot: Robot) -> tuple[Link, ...]:
     """Those whose parameters corrections can move: of joints on the way down, where the next origin in the URDF holds them."""
-    return tuple(link for link, joint in zip(doty_links(robot), robot.joints, strict=True) if not joint.climbs)
+    joints = robot.main.joints
+    return tuple(link for link, joint in zip(doty_links(robot), joints, strict=True) if not joint.climbs)
 
 
 def _link(

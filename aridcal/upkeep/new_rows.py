@@ -118,7 +118,7 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
     campaign = _other(saved, Path(str(table))) if new else _own(saved, table)
     robot = saved.final.model.robot
     rows = load_measurements(
-        campaign, robot.readings, robot.limits, robot.kinds, files=None if new else [table], fitted=False
+        campaign, robot.readings, robot.limits, robot.kinds, robot=robot, files=None if new else [table], fitted=False
     )
     rows = _with_targets(saved, with_directions(rows), new)
     _refuse_unknown_labels(saved, rows)
@@ -198,7 +198,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
     if not several and (places <= names or not referring):
         changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
         return campaign.model_copy(update=changes)
-    tables = [path for path in (campaign.instruments.points, campaign.instruments.markers.file) if path is not None]
+    tables = list(campaign.instruments.tables)
     lost = [path for path in tables if not path.exists()]
     if lost:
         raise CampaignError(

@@ -19,7 +19,7 @@ from aridcal.fit.thing_starts import beginning
 from aridcal.inputs.campaign import Frames as FrameChoice
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import ONE_TARGET, TIP
-from aridcal.model.measured import measured
+from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import ONE_FRAME, Model
 from aridcal.result.saved_model import SolvedModel
 from aridcal.upkeep.realign import frame_start
@@ -147,13 +147,13 @@ def _seen(c: Coefficient, rows: Dataset) -> bool:
 
 def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> Model:
     """The model with new frames and things where the rows have them."""
-    bare = Model(model.robot, (), instruments=rows.instruments)
+    bare = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
     seen = measured(bare, rows)
     assert seen is not None
     anywhere = ("world_base", None) in new
     arm = replace(model, tip_target=ONE_FRAME, world_base=ONE_FRAME if anywhere else model.world_base)
     arm, own = _without_target(arm, theta, anywhere)
-    asked = arm.rows(rows.readings, rows.conditions, rows.station)
+    asked = rows_of_data(arm, replace(rows, target=None))
     R, p = arm.poses(own, asked)
     names = [label for label, _ in model.tip_target]
     number = np.zeros(len(rows), dtype=int) if rows.target is None else np.array([names.index(t) for t in rows.target])

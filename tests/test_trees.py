@@ -1,0 +1,196 @@
+"""Rows between any two links: a tracker on two arms, a camera on the head, a bar from hand to hand. The data are Pinocchio's."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import two_arms
+import yaml
+
+import aridcal
+import aridcal.compensate
+import aridcal.design
+from aridcal.errors import AridcalError, CampaignError
+from aridcal.fit.constants import urdf_of
+from aridcal.inputs.campaign import load_campaign, nominal_robot
+
+LIMIT = 1.3
+"""Held-out errors of a tenth of some 150 rows scatter by less."""
+
+XYZ = ["x", "y", "z"]
+
+
+def readings(robot: two_arms.Machine, n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.1, 1.1, (n, len(robot.joints)))
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[two_arms.Machine, aridcal.Calibration, Path]:
+    """Calibrated with a tracker, a camera and a bar, and read back from its file."""
+    folder, robot = tmp_path_factory.mktemp("both"), two_arms.machine()
+    path = two_arms.write(folder, robot, ("tracker", "camera", "ballbar"), readings(robot, 150))
+    found = aridcal.calibrate(path)
+    errors = found.errors.loc["final"].loc["test"]
+    assert errors["position_rms_mm"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA
+    assert errors["distance_rms_mm"] < LIMIT * 1e3 * two_arms.SIGMA
+    assert found.result["verdict"] == "noise_floor" and found.effects.empty
+    (folder / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
+    return robot, found, folder
+
+
+def test_targets_on_either_hand_are_where_the_real_robot_has_them(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path],
+) -> None:
+    robot, found, folder = both
+    q = readings(robot, 50, 9)
+    loaded = aridcal.load(folder / "calibration.yaml")
+    told = {}
+    for side, own in (("left", two_arms.LEFT), ("right", two_arms.RIGHT)):
+        table = robot.table(q, target=np.full(len(q), side))
+        told[side] = loaded.predict(table)[XYZ].to_numpy(float)
+        np.testing.assert_allclose(told[side], found.predict(table)[XYZ].to_numpy(float), rtol=0, atol=1e-12)
+        in_torso = np.array([T.act(own) for T in robot.seen(q, "torso", f"{side}_hand")])
+        # distances between places need no frame: the tracker's world is where it is
+        apart = np.linalg.norm(told[side][1:] - told[side][:-1], axis=1)
+        np.testing.assert_allclose(apart, np.linalg.norm(in_torso[1:] - in_torso[:-1], axis=1), rtol=0, atol=5e-4)
+    between = np.linalg.norm(told["left"] - told["right"], axis=1)
+    left, right = (np.array([T.act(own) for T in robot.seen(q, "torso", f"{side}_hand")])
+                   for side, own in (("left", two_arms.LEFT), ("right", two_arms.RIGHT)))  # fmt: skip
+    np.testing.assert_allclose(between, np.linalg.norm(left - right, axis=1), rtol=0, atol=5e-4)
+
+
+def test_the_calibrated_urdf_is_that_of_both_arms(both: tuple[two_arms.Machine, aridcal.Calibration, Path]) -> None:
+    robot, found, _ = both
+    q, geometric = readings(robot, 20, 5), found.model.geometric
+    told = found.predict(robot.table(q), of="left_hand", within="right_hand")[XYZ].to_numpy(float)
+    model = pin.buildModelFromXML(urdf_of(geometric.model, geometric.theta).decode())
+    expected = [T.translation for T in two_arms.Machine(model).seen(q, "right_hand", "left_hand")]
+    np.testing.assert_allclose(told, expected, rtol=0, atol=1e-9)
+
+
+def test_a_command_moves_the_limb_that_carries_the_target_and_holds_the_others(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path],
+) -> None:
+    robot, found, _ = both
+    q = readings(robot, 8, 3) * 0.7
+    near = q + np.random.default_rng(1).normal(0, 0.02, q.shape)
+    pose = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    for side in ("left", "right"):
+        label = np.full(len(q), side)
+        wanted = found.predict(robot.table(q, target=label))[pose].assign(target=label)
+        told = found.compensate(wanted, seed=robot.table(near))
+        own = [name.startswith(side) for name in robot.joints]
+        reached = found.predict(told[robot.joints].assign(target=label))[XYZ].to_numpy(float)
+        np.testing.assert_allclose(reached, wanted[XYZ].to_numpy(float), rtol=0, atol=1e-6)
+        assert np.abs(told[robot.joints].to_numpy(float) - near)[:, own].max() > 0.01
+        others = [not moves for moves in own]
+        np.testing.assert_allclose(told[robot.joints].to_numpy(float)[:, others], near[:, others], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("moved", ["", "right_j3"])
+def test_a_check_names_the_joint_of_the_limb_that_moved(
+    moved: str,
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    robot, found, _ = both
+    since = replace(robot, slipped=(moved, 1e-3) if moved else None)
+    two_arms.write(tmp_path, since, ("tracker",), readings(robot, 30, 7), seed=5)
+    monkeypatch.chdir(tmp_path)  # the campaign's other tables are named from here
+    told = found.check(tmp_path / "tracker.csv")
+    assert told.good == (not moved)
+    named = re.findall(r"the zero of (\w+), by \+([\d.]+) ", " ".join(told.lines))
+    assert [joint for joint, _ in named] == ([moved] if moved else [])
+    assert all(abs(float(size) - 1.0) < 0.15 for _, size in named)
+
+
+def test_programs_and_plans_of_several_limbs_are_refused(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, _, folder = both
+    (tmp_path / "p.script").write_text("movej([0,0,0,0,0,0])\n")
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "p.script"), "-o", str(tmp_path / "out.script")]
+    assert aridcal.compensate.main(asked) == 2
+    assert "the calibration is of several limbs (left_hand, right_hand, camera)" in " ".join(
+        capsys.readouterr().err.split()
+    )
+    assert aridcal.design.main([str(folder / "campaign.yaml"), "-n", "5", "-o", str(tmp_path / "plan.csv")]) == 2
+    assert "poses of several limbs are not planned" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out.script").exists() and not (tmp_path / "plan.csv").exists()
+
+
+def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> None:
+    robot = two_arms.machine(2, yields=2e-4)
+    found = aridcal.calibrate(two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 240)))
+    assert list(zip(found.effects["kind"], found.effects["where"], strict=True)) == [("joint_compliance", "left_j2")]
+    errors = found.errors["position_rms_mm"].unstack()["test"]
+    assert errors["final"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA < 0.7 * errors["geometric"]
+
+
+def test_a_row_needs_the_joints_of_its_own_path_alone(tmp_path: Path) -> None:
+    robot = two_arms.machine()
+    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 60))
+    table = pd.read_csv(tmp_path / "tracker.csv")
+    assert table["right_j3"].isna().sum() == 30  # of rows that see the left hand
+    table.loc[table["target"] == "right", "right_j3"] = table.loc[table["target"] == "right", "right_j3"].where(
+        np.arange(30) > 0
+    )
+    table.to_csv(tmp_path / "tracker.csv", index=False)
+    found = aridcal.calibrate(path)
+    (refused,) = found.result["n"]["refused"]
+    assert "right_j3" in str(refused) and "on the row's path" in str(refused)
+    table.drop(columns=["right_j3"]).to_csv(tmp_path / "tracker.csv", index=False)
+    with pytest.raises(AridcalError, match="right_j3"):
+        aridcal.calibrate(path)
+
+
+SLIPS = {
+    "a link that is none": (
+        {"targets": {"left": {"on": "left_hnd"}}},
+        "instruments.targets.left.on: no link 'left_hnd' .*'left_hand'",
+    ),
+    "a target on the base": (
+        {"targets": {"left": {"on": "torso"}, "right": {"on": "right_hand"}}},
+        "no joint moves between 'torso' and 'torso'",
+    ),
+    "two boards on one link": (
+        {"markers": [{"file": "left.csv", "on": "left_hand"}, {"file": "right.csv", "on": "left_hand"}]},
+        "two tables are of one carrier",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SLIPS)
+def test_what_cannot_be_meant_is_named(name: str, tmp_path: Path) -> None:
+    robot = two_arms.machine()
+    things, why = SLIPS[name]
+    ways = ("camera",) if "markers" in things else ("tracker",)
+    path = two_arms.write(tmp_path, robot, ways, readings(robot, 60))
+    document = yaml.safe_load(path.read_text())
+    document["instruments"] |= things
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(AridcalError, match=why):
+        aridcal.calibrate(path)
+
+
+def test_without_links_a_campaign_has_one_chain_as_before(tmp_path: Path) -> None:
+    robot = two_arms.machine()
+    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 20))
+    document = yaml.safe_load(path.read_text())
+    del document["instruments"]
+    path.write_text(yaml.safe_dump(document))
+    assert nominal_robot(load_campaign(path)).readings == tuple(f"left_j{k}" for k in range(1, 7))
+    with pytest.raises(CampaignError, match="unknown"):
+        load_campaign(_with(path, {"instruments": {"targets": {"left": {"at": "left_hand"}}}}))
+
+
+def _with(path: Path, keys: dict[str, object]) -> Path:
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | keys))
+    return path
