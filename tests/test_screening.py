@@ -10,13 +10,13 @@ import pytest
 from scipy.stats import rankdata, wilcoxon
 from test_hints import SLOTS, linear, made_up, with_effect
 
-from aridcal.effects.basis import Basis
+from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import turns
 from aridcal.fit.normal_equations import conditional
 from aridcal.search import products, state
 from aridcal.search.evidence import Score, solve
-from aridcal.search.grids import local
+from aridcal.search.grids import grid_of, local
 from aridcal.search.linear_model import Active
 from aridcal.search.scoring import refine, signed_ranks
 from aridcal.search.screening import score_all, score_without
@@ -190,6 +190,37 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
         assert set(without[gone]) == set(slowly[gone])
         for effect, score in without[gone].items():
             assert score.gain == pytest.approx(slowly[gone][effect].gain, rel=1e-6, abs=1e-6)
+
+
+def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_give():
+    """As limbs have them, which are on the paths of some rows: against columns made in full, and stretch by stretch."""
+    rng = np.random.default_rng(0)
+    n, sizes = 60, (3, 2)
+    knots = [Basis("bump", ("j1",), (c, 0.25)) for c in np.arange(-3.0, 3.1, 0.25)]
+    angle = rng.uniform(-2.5, 2.5, n)
+    values = np.column_stack([evaluate(b, {"j1": angle}) for b in knots])
+    functions = local(values)
+    assert functions is not None
+
+    def made(there: np.ndarray, count: int):
+        slots = tuple(rng.normal(size=(n, size, count)) * there[:, None, None] for size in sizes)
+        full = [np.einsum("nse,nd->nsed", g, values).reshape(n * g.shape[1], -1) for g in slots]
+        return grid_of(slots, functions), full
+
+    first, one = made(np.arange(n) % 3 == 0, 4)
+    second, two = made(np.arange(n) % 2 == 0, 1)
+    assert len(first.rows) == 20 and len(second.rows) == 30
+    others = [rng.normal(size=(n * size, 5)) for size in sizes]
+    right = [y[:, 0] for y in others]
+    np.testing.assert_allclose(first.across(others), [x.T @ y for x, y in zip(one, others, strict=True)], atol=1e-12)
+    np.testing.assert_allclose(first.across_grid(second), [x.T @ y for x, y in zip(one, two, strict=True)], atol=1e-12)
+    np.testing.assert_allclose(first.pull(right), [x.T @ r for x, r in zip(one, right, strict=True)], atol=1e-12)
+    for x, own in zip(one, first.own(), strict=True):
+        d = values.shape[1]
+        blocks = (x.T @ x).reshape(4, d, 4, d)
+        np.testing.assert_allclose(own, blocks[np.arange(4), :, np.arange(4)], atol=1e-12)
+    parts = [first.part(a, b).across_grid(second.part(a, b)) for a, b in ((0, 17), (17, 40), (40, n))]
+    np.testing.assert_allclose(np.sum(parts, axis=0), first.across_grid(second), atol=1e-12)
 
 
 def test_functions_of_one_preparation_are_not_taken_for_those_of_another():

@@ -153,10 +153,10 @@ def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Observed], Iterat
 
 
 def _joint_coupling(rows: Observed) -> Iterator[Effect]:
-    """Each joint by the reading of each other one that moves."""
+    """Each joint by the reading of each other one that moves, on the same limb."""
     for j in rows.robot.joints:
         for other in rows.moving():
-            if other.name != j.name:
+            if other.name != j.name and rows.robot.on_one_limb(j.name, other.name):
                 led = slope(j.name, "axis", other.name, middle(rows.table[other.name]))
                 yield Effect("joint_coupling", j.name, (led,), with_=other.name)
 

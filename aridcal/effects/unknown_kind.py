@@ -23,12 +23,13 @@ ALONG = 0.99
 
 
 def _unknown(rows: Observed) -> Iterator[Effect]:
-    """Any motion of any joint or of the target, each as a smooth function of any reading or column."""
+    """Any motion of any joint or of the target, each as a smooth function of any column, or any reading on the joint's limb."""
     # The same bases for all motions: a thousand effects are made of them, and compared.
     curves = {name: knots_over(name, rows.table[name], KNOTS) for name in rows.varying()}
     for j in rows.robot.joints:
+        near = {name: bases for name, bases in curves.items() if rows.robot.on_one_limb(j.name, name)}
         for component in FRAME_COMPONENTS:
-            for name, bases in curves.items():
+            for name, bases in near.items():
                 if not (name == j.name and _drives(j, component)):  # that is a joint_map
                     yield _curve(j.name, component, bases)
     for component in FRAME_COMPONENTS:

@@ -154,17 +154,41 @@ class _Sums:
         x = back @ b
         return D @ x, float(self.s[own].sum() - b @ x), back
 
+    def of_loads(self, parts: Sequence[int]) -> tuple[np.ndarray, np.ndarray, float]:
+        """Sums of the loads' columns, all others fitted: (3 L, 3 L), with the residual (3 L,), and the residual's own squares."""
+        own, free = list(parts), self.free
+        H, b = self.H[own].sum(axis=0), self.b[own].sum(axis=0)
+        back = inverse(H[:free, :free], ridge=RIDGE) @ np.column_stack([H[:free, free:], b[:free]])
+        taken = H[free:, :free] @ back
+        return (
+            H[free:, free:] - taken[:, :-1],
+            b[free:] - taken[:, -1],
+            float(self.s[own].sum() - b[:free] @ back[:, -1]),
+        )
+
     def best(self, parts: Sequence[int]) -> np.ndarray:
         """The direction that leaves least: the best of many, then of its neighbours, nearer and nearer ones."""
-        u = min(_directions(), key=lambda u: self.solved(u, parts)[1])
-        left, step = self.solved(u, parts)[1], COARSE
+        S, c, most = self.of_loads(parts)
+
+        def leaves(u: np.ndarray) -> float:
+            along = c.reshape(-1, 3) @ u
+            return most - float(along @ inverse(_along(S, u), ridge=RIDGE) @ along)
+
+        u = min(_directions(), key=leaves)
+        left, step = leaves(u), COARSE
         while step > FINE:
             across = np.linalg.svd(u[None])[2][1:]
             around = [u + step * side * across[k] for k in (0, 1) for side in (-1.0, 1.0)]
-            trial = min((v / np.linalg.norm(v) for v in around), key=lambda v: self.solved(v, parts)[1])
-            now = self.solved(trial, parts)[1]
+            trial = min((v / np.linalg.norm(v) for v in around), key=leaves)
+            now = leaves(trial)
             u, left, step = (trial, now, step) if now < left else (u, left, step / 2.0)
         return np.asarray(u)
+
+
+def _along(S: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Products of L joints' loads along three axes, (3 L, 3 L), as those of their loads along u, (L, L)."""
+    L = len(S) // 3
+    return np.asarray(np.einsum("aibj,i,j->ab", S.reshape(L, 3, L, 3), u, u))
 
 
 def _directions() -> np.ndarray:

@@ -146,6 +146,18 @@ class Robot:
             self._paths[pair] = replace(made, packages=self.packages, stated=self.stated)
         return self._paths[pair]
 
+    def on_one_limb(self, *names: str) -> bool:
+        """True unless two of the names are joints of different limbs; names of anything else do not count."""
+        if not self.others:
+            return True
+        limbs = [self._limbs_of[name] for name in names if name in self._limbs_of]
+        return not limbs or bool(frozenset.intersection(*limbs))
+
+    @cached_property
+    def _limbs_of(self) -> dict[str, frozenset[int]]:
+        """Numbers of the limbs on which each joint is."""
+        return {name: frozenset(k for k, limb in enumerate(self.limbs) if name in limb.names) for name in self.names}
+
     @cached_property
     def _paths(self) -> dict[tuple[str, str], Robot]:
         return {}

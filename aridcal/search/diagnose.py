@@ -391,7 +391,7 @@ def _unnamed(
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
     for k in range(PAIRED):
         before = more.state
-        places, looked = pairs(model, before, observed.varying(), progress)
+        places, looked = pairs(model, before, observed.varying(), observed.robot, progress)
         library = [pair(observed, *place) for place in places]
         more = search(model.prepare(library), library, before, 1, looked, fresh, progress)
         tested += looked if k == 0 else 0

@@ -22,6 +22,10 @@ SPARSE = 3
 """Functions for each one that is not zero at a row from which they count as local: the sums over all cost as much below it."""
 
 
+FULL = 0.9
+"""Share of the rows that a limb's slots move from which leaving out the others costs as much as it saves."""
+
+
 @dataclass(frozen=True)
 class Local:
     """Values of d functions at N rows, of which at most k are not zero at a row.
@@ -79,12 +83,14 @@ class Grid:
     """Columns of E slots times d functions each, those of one slot side by side: w = E d columns, C channels.
 
     Attributes:
-        slots: Columns of the slots, (N, size, E) for each channel.
-        functions: The functions.
+        slots: Columns of the slots, (n, size, E) for each channel, in the rows in which one of them is not zero.
+        functions: The functions in those rows.
+        rows: Which those n of all N rows are; None if they are all.
     """
 
     slots: tuple[np.ndarray, ...]
     functions: Local
+    rows: np.ndarray | None = None
 
     def own(self) -> np.ndarray:
         """Products of the columns of each slot with one another, shape (C, E, d, d)."""
@@ -94,30 +100,67 @@ class Grid:
 
     def pull(self, right: Sequence[np.ndarray]) -> np.ndarray:
         """Products with right-hand sides of shape (N size,), one for each channel, shape (C, w)."""
-        weights = [np.einsum("nse,ns->ne", g, r.reshape(len(g), -1)) for g, r in zip(self.slots, right, strict=True)]
+        weights = [
+            np.einsum("nse,ns->ne", g, self._here(r, g)[:, :, 0]) for g, r in zip(self.slots, right, strict=True)
+        ]
         return self._summed(self.functions, weights).reshape(len(self.slots), -1)
 
     def across(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Products with any columns, (N size, d') for each channel, shape (C, w, d')."""
         made = []
         for g, y in zip(self.slots, columns, strict=True):
-            rows, size, count = g.shape
-            products = g.transpose(0, 2, 1) @ y.reshape(rows, size, -1)
+            rows, _, count = g.shape
+            products = g.transpose(0, 2, 1) @ self._here(y, g)
             summed = self.functions.sums(products.reshape(rows, -1)).reshape(self.functions.count, count, -1)
             made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
         return np.array(made)
 
     def across_grid(self, other: Grid) -> np.ndarray:
         """Products with the columns of one slot times d' other functions, shape (C, w, d')."""
-        weights = [np.einsum("nse,ns->ne", g, t[:, :, 0]) for g, t in zip(self.slots, other.slots, strict=True)]
-        together = self._summed(self.functions.times(other.functions), weights)
-        return together.reshape(len(self.slots), -1, other.functions.count)
+        one, two = (self, other) if self.rows is other.rows is None else _common(self, other)
+        weights = [np.einsum("nse,ns->ne", g, t[:, :, 0]) for g, t in zip(one.slots, two.slots, strict=True)]
+        together = self._summed(one.functions.times(two.functions), weights)
+        return together.reshape(len(self.slots), -1, two.functions.count)
 
     def part(self, low: int, high: int) -> Grid:
         """That of some rows on end."""
-        return Grid(tuple(g[low:high] for g in self.slots), self.functions.part(low, high))
+        if self.rows is None:
+            return Grid(tuple(g[low:high] for g in self.slots), self.functions.part(low, high))
+        first, last = np.searchsorted(self.rows, (low, high)).tolist()
+        slots = tuple(g[first:last] for g in self.slots)
+        return Grid(slots, self.functions.part(first, last), self.rows[first:last] - low)
+
+    def _here(self, values: np.ndarray, slots: np.ndarray) -> np.ndarray:
+        """Numbers of all N rows, shape (N size, ...), in those of the grid, shape (n, size, k)."""
+        by_row = values.reshape(len(values) // slots.shape[1], slots.shape[1], -1)
+        return by_row if self.rows is None else by_row[self.rows]
 
     def _summed(self, functions: Local, weights: Sequence[np.ndarray]) -> np.ndarray:
-        """Sums of functions times weights of shape (N, E) for each channel, shape (C, E, functions)."""
+        """Sums of functions times weights of shape (n, E) for each channel, shape (C, E, functions)."""
         together = functions.sums(np.hstack(weights))
         return together.reshape(functions.count, len(weights), -1).transpose(1, 2, 0)
+
+
+def moved_rows(slots: tuple[np.ndarray, ...]) -> np.ndarray | None:
+    """Rows in which one of some slots, (N, size, E) for each channel, is not zero; None if they are nearly all."""
+    moved = np.any([np.any(g != 0.0, axis=(1, 2)) for g in slots], axis=0)
+    return None if np.mean(moved) > FULL else np.flatnonzero(moved)
+
+
+def grid_of(slots: tuple[np.ndarray, ...], functions: Local) -> Grid:
+    """A grid of slots in all N rows: rows of paths on which none of the slots is count for nothing, and are left out."""
+    rows = moved_rows(slots)
+    return Grid(slots, functions) if rows is None else _taken(Grid(slots, functions), rows, rows)
+
+
+def _taken(whole: Grid, some: np.ndarray, rows: np.ndarray) -> Grid:
+    """Some of the rows of a grid, by their places in it, and which of all rows those are."""
+    values, numbers = whole.functions.values[some], whole.functions.numbers[some]
+    return Grid(tuple(g[some] for g in whole.slots), Local(values, numbers, whole.functions.count), rows)
+
+
+def _common(one: Grid, other: Grid) -> tuple[Grid, Grid]:
+    """Two grids in the rows that both have."""
+    rows = [np.arange(len(g.functions.values)) if g.rows is None else g.rows for g in (one, other)]
+    both, first, second = np.intersect1d(rows[0], rows[1], assume_unique=True, return_indices=True)
+    return _taken(one, first, both), _taken(other, second, both)

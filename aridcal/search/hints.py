@@ -16,6 +16,7 @@ from aridcal.effects.regional_kind import IN_SPACE, SHIFT, WIDTHS, ball_field
 from aridcal.effects.sights import TARGET
 from aridcal.fit.flags import OUTLIER, distance
 from aridcal.fit.normal_equations import TINY
+from aridcal.robot.chain import Robot
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
@@ -225,12 +226,12 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
 
 
 def pairs(
-    model: LinearModel, state: State, covariates: Sequence[str], progress: Progress = SILENT
+    model: LinearModel, state: State, covariates: Sequence[str], robot: Robot, progress: Progress = SILENT
 ) -> tuple[list[tuple[str, str, tuple[str, str]]], int]:
     """Where and of which two covariates a smooth function would explain most, and how many were looked at.
 
     The residual is pulled back to each slot as the motion that would explain it row by row, and that is projected on
-    products of Legendre polynomials in two covariates.
+    products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
     """
     used = state.used
     G = model.G[used] / state.sigma[:, None]
@@ -240,11 +241,13 @@ def pairs(
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     found = []
     waves = {of: np.polynomial.legendre.legvander(_centred(model.table[of][used]), DEGREE) for of in covariates}
-    for a, b in progress.over(list(combinations(covariates, 2)), "pairs"):
+    every = [of for of in combinations(covariates, 2) if robot.on_one_limb(*of)]
+    for a, b in progress.over(every, "pairs"):
         products = (waves[a][:, :, None] * waves[b][:, None]).reshape(len(pull), -1)
         along = np.linalg.qr(products)[0].T @ pull
         explained = np.sum(along**2, axis=0)
-        found += [(float(explained[s]), (where, component, (a, b))) for s, (where, component) in frames]
+        near = [(s, slot) for s, slot in frames if robot.on_one_limb(slot[0], a, b)]
+        found += [(float(explained[s]), (where, component, (a, b))) for s, (where, component) in near]
     found.sort(key=lambda pair: -pair[0])
     return [place for _, place in found[:LOUDEST]], len(found)
 

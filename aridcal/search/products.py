@@ -21,7 +21,7 @@ import numpy as np
 
 from aridcal.effects.effect import Effect
 from aridcal.instruments.channels import Channels, columns
-from aridcal.search.grids import Grid, Local, local
+from aridcal.search.grids import Grid, Local, grid_of, local, moved_rows
 
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
@@ -165,6 +165,7 @@ class Products:
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._local: dict[tuple[int, ...], Local | None] = {}
+        self._moved: dict[int, bytes] = {}
         self._known: dict[Effect, None] = {}
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
@@ -180,6 +181,7 @@ class Products:
         """The same, columns made by a model that has further bases."""
         self._source = source
         self._local.clear()  # known by numbers, which may mean other functions there
+        self._moved.clear()
         return self
 
     def flat(self, effects: Sequence[Effect]) -> Flat:
@@ -284,7 +286,7 @@ class Products:
         """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
         taken = None if member is None else self._source.apart(member)
         functions = None if taken is None else self._functions(taken[1])
-        return None if taken is None or functions is None else Grid(self._source.slots(taken[:1]), functions)
+        return None if taken is None or functions is None else grid_of(self._source.slots(taken[:1]), functions)
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
@@ -307,22 +309,29 @@ class Products:
         return self._local[bases]
 
     def _grids(self, effects: Sequence[Effect]) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[Effect]]:
-        """Candidates of the same functions with their slots, and the other candidates."""
-        alike: dict[tuple[int, ...], dict[Effect, int]] = {}
+        """Candidates of the same functions that move the same rows, with their slots, and the other candidates."""
+        alike: dict[tuple[tuple[int, ...], bytes], dict[Effect, int]] = {}
         for effect in effects:
             taken = self._source.apart(effect) if effect.smooth else None
             if taken is not None:
-                alike.setdefault(taken[1], {})[effect] = taken[0]
-        grids = [(b, own) for b, own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+                alike.setdefault((taken[1], self._rows_moved(taken[0])), {})[effect] = taken[0]
+        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
         of_grids = {effect for _, own in grids for effect in own}
         return grids, [effect for effect in effects if effect not in of_grids]
+
+    def _rows_moved(self, slot: int) -> bytes:
+        """Which rows a slot moves; the same for all that move nearly all of them."""
+        if slot not in self._moved:
+            rows = moved_rows(self._source.slots([slot]))
+            self._moved[slot] = b"" if rows is None else rows.tobytes()
+        return self._moved[slot]
 
     def _grid(self, bases: tuple[int, ...], effects: dict[Effect, int]) -> Chunk:
         """Candidates of the same functions multiplied together."""
         functions = self._functions(bases)
         assert functions is not None
-        grid = Grid(self._source.slots(list(effects.values())), functions)
-        return Chunk(tuple(effects), grid.own(), grid.pull(self.r), {}, None, grid)
+        made = grid_of(self._source.slots(list(effects.values())), functions)
+        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
         """Whether so many numbers more are kept; they are counted."""

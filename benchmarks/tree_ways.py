@@ -1,0 +1,322 @@
+"""Ways to measure between the links of a robot with several arms, with what each reads and a campaign of it; for `trees.py`.
+
+Each way knows its rows three times: as joint positions and labels, as residuals of a robot and of the unknown things around
+it (for the oracle, which is Pinocchio and nothing of the product), and as the tables and keys of a campaign.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+from tree_robot import RANGE, Robot, reached, turned_by
+
+SIGMA, PIXEL = 1e-4, 0.2
+FINGER, BALL = np.array([0.05, 0.02, 0.01]), np.array([0.02, 0.01, 0.1])
+MARKS = np.array([[0, 0, 0], [0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.04]]) + FINGER
+SPOTS = np.array([[0.02, 0, 0.05], [0.06, 0.03, 0.05], [-0.02, 0.03, 0.05], [0.02, -0.04, 0.05], [0.02, 0.02, 0.09]])
+LENS = {"fx": 700.0, "fy": 700.0, "cx": 319.5, "cy": 239.5, "width": 640, "height": 480}
+HANDS = {"left": "left_hand", "right": "right_hand"}
+TABLE_NORMAL, TABLE_OFFSET = np.array([0.02, -0.03, 1.0]), 0.05
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Rows of one way.
+
+    Attributes:
+        q: Joint positions, shape (N, joints).
+        label: Of each row: which hand, point or marker, shape (N,).
+        observed: What was read, shape (N, m), as the way has it.
+        shot: Number of the image of each row, shape (N,).
+    """
+
+    q: np.ndarray
+    label: np.ndarray
+    observed: np.ndarray
+    shot: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+
+
+class Way(ABC):
+    """A way to measure."""
+
+    name: ClassVar[str]
+    kind: ClassVar[str]
+    channels: ClassVar[dict[str, tuple[int, float]]]
+    """Numbers and noise of each."""
+    rows: ClassVar[int] = 240
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """Noise of each number, shape (m,)."""
+        return np.repeat([s for _, s in self.channels.values()], [n for n, _ in self.channels.values()])
+
+    @abstractmethod
+    def things(self) -> np.ndarray:
+        """True numbers of what is unknown around the robot."""
+
+    @abstractmethod
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:
+        """Rows that the real robot can take."""
+
+    @abstractmethod
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:
+        """Read minus expected, shape (N, m)."""
+
+    @abstractmethod
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:
+        """The rows as a user has them."""
+
+    @abstractmethod
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The block and the instruments of a campaign."""
+
+    def noise(self, n: int, rng: np.random.Generator, noisy: bool) -> np.ndarray:
+        """Of n rows, shape (n, m)."""
+        return self.sigma * rng.standard_normal((n, len(self.sigma))) * noisy
+
+
+def postures(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Anywhere in the range, shape (n, joints)."""
+    return rng.uniform(-RANGE, RANGE, (n, len(robot.joints)))
+
+
+def own_joints(robot: Robot, rows: Seen, **columns: Any) -> pd.DataFrame:
+    """Readings, and other columns."""
+    return pd.DataFrame(dict(zip(robot.joints, rows.q.T, strict=True)) | columns)
+
+
+def _stacked(Ts: list[pin.SE3]) -> tuple[np.ndarray, np.ndarray]:
+    return np.array([T.rotation for T in Ts]), np.array([T.translation for T in Ts])
+
+
+def _between(robot: Robot, q: np.ndarray, start: str, end: str) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations and places of one link in another's frame."""
+    places = robot.places(q, [start, end])
+    return _stacked([a.actInv(b) for a, b in zip(places[start], places[end], strict=True)])
+
+
+class Tracker(Way):
+    """A tracker sees a target on each hand, in turn: poses."""
+
+    name, kind = "poses", "pose"
+    channels: ClassVar = {"position": (3, SIGMA), "rotation": (3, SIGMA)}
+
+    def __init__(self, *sides: str) -> None:
+        self.sides = sides or tuple(HANDS)
+
+    def things(self) -> np.ndarray:
+        """Tripod, then place and turn of each target."""
+        targets = [[0.05, 0.02, 0.01 * (k + 1), 0.1, 0.2 - 0.1 * k, 0.3] for k in range(len(self.sides))]
+        return np.array([2.0, -1.0, 0.5, 0.3, -0.2, 2.0, *np.ravel(targets)])
+
+    def expected(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> tuple[Any, Any]:
+        """Rotations and places of the targets in the tracker's frame."""
+        tripod, *targets = (pin.SE3(pin.exp3(v[3:]), v[:3]) for v in things.reshape(-1, 6))
+        places = robot.places(q, [f"{side}_hand" for side in self.sides])
+        on = dict(zip(self.sides, targets, strict=True))
+        return _stacked([tripod * places[f"{side}_hand"][k] * on[side] for k, side in enumerate(label)])
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        q, label = postures(robot, n, rng), np.array(self.sides)[np.arange(n) % len(self.sides)]
+        R, p = self.expected(robot, self.things(), q, label)
+        e = self.noise(n, rng, noisy)
+        R = Rotation.from_rotvec(e[:, -3:] if len(self.channels) == 2 else 0.0 * e).as_matrix() @ R
+        return Seen(q, label, np.hstack([p + e[:, :3], R.reshape(n, 9)]))
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        R, p = self.expected(robot, things, rows.q, rows.label)
+        return np.hstack([rows.observed[:, :3] - p, turned_by(rows.observed[:, 3:].reshape(-1, 3, 3), R)])
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        quaternion = Rotation.from_matrix(rows.observed[:, 3:].reshape(-1, 3, 3)).as_quat()
+        read = dict(zip(["qx", "qy", "qz", "qw"], quaternion.T, strict=True)) if len(self.channels) == 2 else {}
+        place = dict(zip(["x", "y", "z"], rows.observed[:, :3].T, strict=True))
+        return own_joints(robot, rows, target=rows.label, **place, **read)
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        return {}, {"targets": {side: {"on": f"{side}_hand"} for side in self.sides}}
+
+
+class Reflectors(Tracker):
+    """A tracker sees a reflector on each hand, in turn: positions."""
+
+    name, kind = "positions", "position"
+    channels: ClassVar = {"position": (3, SIGMA)}
+    rows = 360
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        return super().residual(robot, things, rows)[:, :3]
+
+
+class Eye(Way):
+    """The camera on the head sees four markers on either hand: the markers' places on their boards are known."""
+
+    name, kind = "camera", "pixels"
+    channels: ClassVar = {"pixel": (2, PIXEL)}
+    rows = 960
+
+    def things(self) -> np.ndarray:
+        """The camera on its link, then each board on its hand."""
+        return np.array([0.003, -0.002, 0.004, 0.01, -0.02, 0.01, *np.zeros(12)])
+
+    def _marks(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
+        """Places of marks in the camera's frame, shape (N, 3)."""
+        camera, *boards = (pin.SE3(pin.exp3(v[3:]), v[:3]) for v in things.reshape(-1, 6))
+        whole, number = np.unique(q, axis=0, return_inverse=True)
+        places = robot.places(whole, ["camera", *HANDS.values()])
+        found = []
+        for k, name in zip(number, label, strict=True):
+            side, _, mark = name.partition("_")
+            eye = places["camera"][k] * camera
+            found.append(eye.actInv(places[HANDS[side]][k] * boards[side == "right"]).act(MARKS[int(mark)]))
+        return np.array(found)
+
+    @staticmethod
+    def _pixels(at: np.ndarray) -> np.ndarray:
+        return np.array([700.0, 700.0]) * at[:, :2] / at[:, 2:] + np.array([319.5, 239.5])
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        names = np.array([f"{side}_{k}" for side in HANDS for k in range(4)])
+        q: list[np.ndarray] = []
+        label: list[np.ndarray] = []
+        shot: list[np.ndarray] = []
+        count = 0
+        while sum(len(some) for some in label) < n:
+            some = postures(robot, 200, rng)
+            at = self._marks(robot, self.things(), np.repeat(some, 8, axis=0), np.tile(names, 200))
+            pixels = self._pixels(at)
+            good = (at[:, 2] > 0.15) & (np.abs(pixels - [320, 240]) < [305, 225]).all(axis=1)
+            for k, own in enumerate(good.reshape(200, 8)):
+                if own.sum() >= 4:
+                    label.append(names[own])
+                    q.append(np.tile(some[k], (own.sum(), 1)))
+                    shot.append(np.full(own.sum(), count))
+                    count += 1
+        whole, label_, shot_ = np.vstack(q)[:n], np.concatenate(label)[:n], np.concatenate(shot)[:n]
+        read = self._pixels(self._marks(robot, self.things(), whole, label_)) + self.noise(n, rng, noisy)
+        return Seen(whole, label_, read, shot_)
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        return rows.observed - self._pixels(self._marks(robot, things, rows.q, rows.label))
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        u, v = rows.observed.T
+        return own_joints(robot, rows, marker=rows.label, u=u, v=v, shot=rows.shot)
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        boards = [{"file": f"{side}_marks.csv", "on": hand} for side, hand in HANDS.items()]
+        return {"camera": "eye"}, {"cameras": {"eye": {**LENS, "on": "camera"}}, "markers": boards}
+
+
+class Ballbar(Way):
+    """A bar from a ball on the right hand to the left finger: distances."""
+
+    name, kind = "ballbar", "distance"
+    channels: ClassVar = {"distance": (1, SIGMA)}
+    rows = 480
+
+    def things(self) -> np.ndarray:
+        """The ball and the finger on their hands."""
+        return np.concatenate([BALL, FINGER])
+
+    def _length(self, robot: Robot, things: np.ndarray, q: np.ndarray) -> np.ndarray:
+        R, p = _between(robot, q, "right_hand", "left_hand")
+        return np.linalg.norm(p + R @ things[3:] - things[:3], axis=1)[:, None]
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        q = postures(robot, n, rng)
+        return Seen(q, np.full(n, ""), self._length(robot, self.things(), q) + self.noise(n, rng, noisy))
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        return rows.observed - self._length(robot, things, rows.q)
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        return own_joints(robot, rows, distance=rows.observed[:, 0])
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        ball = {"on": "right_hand", "xyz": BALL.tolist(), "offset": 0.0, "identify": ["place"]}
+        finger = {"on": "left_hand", "xyz": FINGER.tolist()}
+        return {"target": "finger"}, {"anchors": {"ball": ball}, "targets": {"finger": finger}}
+
+
+class SelfTouch(Way):
+    """The left finger touches five spots of known places on the right hand."""
+
+    name, kind = "self-touch", "point"
+    channels: ClassVar = {"position": (3, SIGMA)}
+
+    def things(self) -> np.ndarray:
+        """The finger on its hand."""
+        return FINGER.copy()
+
+    def _apart(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
+        R, p = _between(robot, q, "right_hand", "left_hand")
+        return np.asarray(p + R @ things - SPOTS[label.astype(int)])
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        found, label, e = postures(robot, 4 * n, rng), (np.arange(4 * n) % 5).astype(str), self.noise(4 * n, rng, noisy)
+        arms = [name for name in robot.joints if "_j" in name]
+        q, good = reached(robot, found, lambda own, q, k: self._apart(own, self.things(), q, label[k]) - e[k], arms)
+        return Seen(q[good][:n], label[good][:n], np.zeros((good.sum(), 3))[:n])
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        return -self._apart(robot, things, rows.q, rows.label)
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        return own_joints(robot, rows, point=rows.label)
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        finger = {"on": "left_hand", "xyz": FINGER.tolist()}
+        return {"target": "finger"}, {
+            "points": {"file": "spots.csv", "on": "right_hand"},
+            "targets": {"finger": finger},
+        }
+
+
+class Table(Way):
+    """Both fingers touch one table, whose place is unknown."""
+
+    name, kind = "table", "plane"
+    channels: ClassVar = {"distance": (1, SIGMA)}
+    rows = 480
+
+    def things(self) -> np.ndarray:
+        """Normal times offset is redundant in length: two tilts and the offset; then both fingers."""
+        return np.array([0.0, 0.0, TABLE_OFFSET, *FINGER, *BALL])
+
+    def _off(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
+        places = robot.places(q, list(HANDS.values()))
+        tip = np.array(
+            [places[HANDS[side]][k].act(things[6:] if side == "right" else things[3:6]) for k, side in enumerate(label)]
+        )
+        normal = TABLE_NORMAL + np.array([*things[:2], 0.0])
+        return (tip @ (normal / np.linalg.norm(normal)) - things[2])[:, None]
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        label = np.array(["left", "right"])[np.arange(3 * n) % 2]
+        found, e = postures(robot, 3 * n, rng), self.noise(3 * n, rng, noisy)
+        arms = [name for name in robot.joints if "_j" in name]
+        q, good = reached(robot, found, lambda own, q, k: self._off(own, self.things(), q, label[k]) - e[k], arms)
+        return Seen(q[good][:n], label[good][:n], np.zeros((good.sum(), 1))[:n])
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        return -self._off(robot, things, rows.q, rows.label)
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        return own_joints(robot, rows, target=rows.label)
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        targets = {
+            "left": {"on": "left_hand", "xyz": FINGER.tolist()},
+            "right": {"on": "right_hand", "xyz": BALL.tolist()},
+        }
+        return {}, {"planes": {"desk": {"on": "torso", "normal": [0, 0, 1], "offset": 0.04}}, "targets": targets}
+
+
+WAYS: dict[str, Way] = {way.name: way for way in (Tracker(), Reflectors(), Eye(), Ballbar(), SelfTouch(), Table())}
