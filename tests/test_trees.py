@@ -105,9 +105,9 @@ def test_a_check_names_the_joint_of_the_limb_that_moved(
     monkeypatch.chdir(tmp_path)  # the campaign's other tables are named from here
     told = found.check(tmp_path / "tracker.csv")
     assert told.good == (not moved)
-    named = re.findall(r"the zero of (\w+), by \+([\d.]+) ", " ".join(told.lines))
-    assert [joint for joint, _ in named] == ([moved] if moved else [])
-    assert all(abs(float(size) - 1.0) < 0.15 for _, size in named)
+    named = re.findall(r"the zero of (\w+) \(limb to (\w+)\), by \+([\d.]+) ", " ".join(told.lines))
+    assert [(joint, limb) for joint, limb, _ in named] == ([(moved, "right_hand")] if moved else [])
+    assert all(abs(float(size) - 1.0) < 0.15 for *_, size in named)
 
 
 def test_programs_of_several_limbs_are_refused(
