@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from test_trees import readings
 import aridcal
 from aridcal.ageing.comparison import compare
 from aridcal.result.controllers import tables
+from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot, with_limbs
 
 WAIST = (
@@ -103,6 +105,25 @@ def test_compare_says_which_constants_of_joints_differ(tmp_path: Path) -> None:
     (said,) = [notice for notice in compare(first.model, second.model).notices if "waist" in notice]
     assert said.startswith("waist stands at 0 rad (`robot.joints`) in the first campaign and stands at 0.1 rad")
     assert not [notice for notice in compare(first.model, first.model).notices if "waist" in notice]
+
+
+def test_compare_sees_a_zero_that_moved_on_either_limb(tmp_path: Path) -> None:
+    """Also on that which does not carry the target of the default path."""
+    machine = two_arms.machine()
+
+    def model(name: str, seed: int, slipped: str = "") -> SavedModel:
+        since = replace(machine, slipped=(slipped, 2e-3) if slipped else None)
+        path = two_arms.write(
+            tmp_path / name, since, ("tracker",), readings(since, 150, seed), seed, diagnosis={"enabled": False}
+        )
+        return aridcal.calibrate(path).model
+
+    before = model("before", 1)
+    assert not compare(before, model("same", 2)).changed
+    for joint in ("left_j3", "right_j3"):
+        (cause,) = compare(before, model(joint, 3, joint)).causes.found
+        assert cause.words == f"the zero of {joint}"
+        np.testing.assert_allclose(cause.value, 2e-3, rtol=0, atol=4 * float(cause.std[0]))
 
 
 def along(name: str, value: float) -> pin.SE3:
