@@ -176,12 +176,13 @@ class Calibration:
         _warn(query)
         return _with_numbers(uncertainty(self.model, query, tool))
 
-    def compensate(self, poses: AnyTable, seed: AnyTable | None = None) -> pd.DataFrame:
-        """Find the joints that bring the real target to each of the wanted poses.
+    def compensate(self, poses: AnyTable, seed: AnyTable | None = None, of: str | None = None) -> pd.DataFrame:
+        """Find the joints that bring the real target, or a link of the robot, to each of the wanted poses.
 
         Args:
             poses: A row for each pose; its columns of joints, if it has any, are where to start.
             seed: Rows whose joints are where to start instead: the controller's own solution, for instance.
+            of: Link of the URDF that is to be there, in the world; the joints on the way to it move, all others stay.
 
         Returns:
             The same rows and columns with the joints, ``reached``, ``position_error`` (and ``rotation_error``) in the
@@ -192,11 +193,12 @@ class Calibration:
         """
         with working() as progress:
             progress("finding the commands")
-            joints = self.model.final.model.robot.readings
-            table = poses if seed is None else seeded(poses, seed, self.model.measurements, joints)
-            query = read_query(self.model, table, poses=True)
+            asked = self.model if of is None else self.model.of_link(of)
+            joints = asked.final.model.robot.readings
+            table = poses if seed is None else seeded(poses, seed, asked.measurements, joints)
+            query = read_query(asked, table, poses=True)
             count = len(query.line)
-            table = compensate(self.model, query, told=lambda rows: progress.part(rows, count, "rows"))
+            table = compensate(asked, query, told=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
         return _with_numbers(table)
 

@@ -15,6 +15,10 @@ where the model is three times as uncertain as at any calibrated row. Joint limi
 The joints are of the same kind as in the calibration: commands, if commands were recorded. If reported joints were
 recorded (`joint_reading: reported` in the campaign), they are what the controller must report when the target is there.
 
+`--of LINK` takes poses of another link of the URDF, in the world: the joints on the way to it move, all others stay where the
+table has them. So it is of several targets, each in its row. A joint that stays and has no column stands in the middle of what
+was seen, for effects that depend on it.
+
 With --grid the output is a correction table, for controllers that accept no model: for each point of a grid over the
 joints, the correction to be added to the nominal solution.
 
@@ -52,7 +56,7 @@ from aridcal.programs.job import Request, correct_programs
 from aridcal.programs.read_project import is_program
 from aridcal.programs.sentences import lines_of
 from aridcal.reading.names import path_argument
-from aridcal.result.compensate import Trajectory, compensate, correction_table
+from aridcal.result.compensate import Trajectory, compensate, correction_table, moved
 from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
 from aridcal.showing import told_on
@@ -81,6 +85,7 @@ def parser() -> CommandParser:
     command.add_argument(
         "--grid", type=int, metavar="POINTS", help="write a correction table with this many points along each joint"
     )
+    command.add_argument("--of", metavar="LINK", help="the poses are this link's of the URDF in place of the target's")
     command.add_argument(
         "-o",
         "--out",
@@ -130,6 +135,8 @@ def _with_lists(argv: Sequence[str]) -> list[str]:
 
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.poses and any(is_program(path) for path in arguments.poses):
+        if arguments.of is not None:
+            raise OutputError("--of is for tables: a robot program says itself what it moves")
         _correct_programs(arguments)
         return
     if len(arguments.poses) > 1:
@@ -147,6 +154,8 @@ def _main(arguments: argparse.Namespace) -> None:
 def _compensate(arguments: argparse.Namespace) -> None:
     _, aside = screens(arguments)
     calibration = SavedModel.load(arguments.calibration)
+    if arguments.of is not None:
+        calibration = calibration.of_link(arguments.of)
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
@@ -251,9 +260,11 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console)
     names = [settings.columns.get(name, name) for name in robot.readings]
     own = counting(settings, robot.readings, robot.kinds)
     cells, deltas = own.cells(np.array(list(product(*found.axes)))), own.steps(found.delta.reshape(-1, len(names)))
-    columns = [*names, *(f"delta_{name}" for name in names)]
+    table = pd.DataFrame(np.hstack([cells, deltas]), columns=[*names, *(f"delta_{name}" for name in names)])
+    held = [name for name, moves in zip(names, moved(calibration), strict=True) if not moves]
+    table = table.drop(columns=[*held, *(f"delta_{name}" for name in held)])
     with atomic_file(out) as path:
-        write_table(pd.DataFrame(np.hstack([cells, deltas]), columns=columns), path)
+        write_table(table, path)
     console.print(
         f"{out}: {len(cells)} points; RMS error of the target between them {1e3 * found.after:.3f} mm, "
         f"without the table {1e3 * found.before:.3f} mm",

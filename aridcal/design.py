@@ -7,6 +7,9 @@ the boxes of the campaign's `design: {keep_out: [{min: [x, y, z], max: [x, y, z]
 above the plane z = 0 of its base, where that is what it is mounted on. The tracker or camera of
 `design: {sight: {at: [x, y, z]}}` sees the target past them. The ways between are not looked at.
 
+Of a robot of several limbs the joints of all are planned. Their shapes keep out of each other, and every target that rows may
+see, on whichever link, is to be known. What images show of several limbs is not planned.
+
 Configurations come in an order that shortens the way. Where backlash is among the effects that may be there, each joint comes to
 them from both sides, by way of points that the programs have and that are not measured.
 
@@ -178,6 +181,12 @@ def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None
         if place in places[:number]:
             raise OutputError(f"{path}: is named twice; delete one")
         if path.suffix.lower() in PROGRAMS:
+            if robot.others and path.suffix.lower() != WAYPOINTS:
+                limbs = ", ".join(limb.tip for limb in robot.limbs)
+                raise OutputError(
+                    f"{path}: a controller's program moves one arm, and this plan several limbs ({limbs}): write a table, or "
+                    f"waypoints for MoveIt ({WAYPOINTS})"
+                )
             check_program(path.suffix.lower(), path.stem, robot.kinds)
 
 

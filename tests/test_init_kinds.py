@@ -94,7 +94,7 @@ def test_pixels_take_camera_and_board_from_the_files_beside_them(folder):
     campaign, rows, text = proposed(folder, pixels())
     assert campaign.measurements.kind == "pixels"
     assert campaign.instruments.cameras["eye"].fy == 701 and campaign.instruments.cameras["eye"].identify == ("place",)
-    assert campaign.instruments.markers.file == folder / "markers.csv"
+    assert [board.file for board in campaign.instruments.markers] == [folder / "markers.csv"]
     assert "ignore: [image]" in text and len(rows) == N
     assert np.allclose(rows.instruments.things["marker"].start, [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
 

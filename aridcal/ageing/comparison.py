@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from aridcal.drawing.html import number, plus_minus
 from aridcal.drawing.words import shown_in
 from aridcal.result.outcome import enumerated
 from aridcal.result.saved_model import SavedModel
+from aridcal.robot.chain import Robot
 
 LARGE = 3e-3
 """[m] and [rad]: a change above this is no longer linear: terms of second order reach 10 um and 10 urad."""
@@ -37,12 +39,14 @@ class Comparison:
         causes: What changed.
         records: What both calibrations say of themselves.
         urdf: Of the first robot, its file's name; whether both are the same text.
+        stated: What the campaigns say differently of joints that have no column.
     """
 
     difference: Difference
     causes: Causes
     records: tuple[dict[str, Any], dict[str, Any]]
     urdf: tuple[str, bool]
+    stated: tuple[str, ...] = ()
 
     @property
     def changed(self) -> bool:
@@ -53,7 +57,7 @@ class Comparison:
     def notices(self) -> tuple[str, ...]:
         """What a reader should know."""
         own = [] if self.urdf[1] else ["the nominal URDFs differ: constants are corrections of each calibration's own"]
-        return (*self.difference.notices, *own)
+        return (*self.difference.notices, *own, *self.stated)
 
 
 def compare(a: SavedModel, b: SavedModel) -> Comparison:
@@ -77,7 +81,30 @@ def compare(a: SavedModel, b: SavedModel) -> Comparison:
         why = causes(seen, moved)
     robots = [saved.final.model.robot for saved in (a, b)]
     same = robots[0].urdf == robots[1].urdf
-    return Comparison(found, why, (a.record, b.record), (robots[0].path.name, same))
+    return Comparison(found, why, (a.record, b.record), (robots[0].path.name, same), tuple(_stated(*robots)))
+
+
+def _stated(first: Robot, second: Robot) -> Iterator[str]:
+    """Joints without a column of which two campaigns say different things, in words."""
+    one, other = first.stated, second.stated
+    for name in dict.fromkeys((*one.names, *other.names)):
+        said = [_said(robot, name) for robot in (first, second)]
+        if said[0] != said[1]:
+            yield (
+                f"{name} {said[0]} in the first campaign and {said[1]} in the second: by that "
+                "alone the first model has what it moves elsewhere"
+            )
+
+
+def _said(robot: Robot, name: str) -> str:
+    """What a campaign says of a joint without a column."""
+    place, coupled = robot.stated.joints.get(name), robot.stated.coupled.get(name)
+    if place is not None:
+        unit = "m" if robot.moves[name][1] == "prismatic" else "rad"
+        return f"stands at {place:g} {unit} (`robot.joints`)"
+    if coupled is not None:
+        return f"follows {enumerated([f'{factor:g} {master}' for master, factor in coupled.items()])} (`robot.coupled`)"
+    return "is as its column or the URDF says"
 
 
 def p_in_words(p_value: float) -> str:

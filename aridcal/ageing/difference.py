@@ -43,7 +43,7 @@ import numpy as np
 from scipy.linalg import svd
 from scipy.stats import f as fisher
 
-from aridcal.ageing.poses import CONFIGURATIONS, OVER_TIME, seen_by_both
+from aridcal.ageing.poses import OVER_TIME, seen_by_both
 from aridcal.drawing.html import counted
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.normal_equations import across, pseudo_inverse
@@ -310,8 +310,9 @@ def _not_seen(
     slight = left[:, alike] * value[alike]
     effects, untold = left[:, ~own], left[:, own & ~alike & (LOOSE * size > SMALLEST)]
     noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), SMALLEST)
-    rows = float(saved.record.get("data", {}).get("train", 0.0)) / CONFIGURATIONS
-    own_noise = np.tile(sigma / noise, CONFIGURATIONS)[:, None]
+    places = len(moves) // len(sigma)
+    rows = float(saved.record.get("data", {}).get("train", 0.0)) / places
+    own_noise = np.tile(sigma / noise, places)[:, None]
     times = 1.0 + float(np.sum(np.mean((LOOSE * untold * own_noise) ** 2, axis=0)))
     if not effects.shape[1]:
         return slight, untold, times

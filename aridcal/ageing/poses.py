@@ -9,7 +9,7 @@ these motions is taken off by small steps, and the columns that do so are handed
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -45,7 +45,7 @@ class BothPoses:
         solved: Both, in one place, with the zeros of all joints among their coefficients.
         J: How the numbers change with the coefficients of each, world axes, shape (n, K) each.
         d: What the second has more than the first, [m] and [rad], shape (n,).
-        bodies: How the numbers change with what was set up anew, shape (n, up to 12).
+        bodies: How the numbers change with what was set up anew, shape (n, up to 6 + 6 targets).
         frames: What that is, ``world_base`` and ``tip_target``, and how far apart both have it, [m] and [rad].
         notices: What a reader should know.
     """
@@ -75,14 +75,36 @@ def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> Bo
     turns = a.kind == "pose" and b.kind == "pose"
     notices: list[str] = []
     readings, covariates = _drawn(a, b, notices)
-    first, second, frames = _in_one_place(_moved(widened(a.doubted), moved), widened(b.doubted))
-    R, p, J_a = _looked_at(first, readings, covariates, a)
-    R_b, p_b, J_b = _looked_at(second, readings, covariates, b)
-    bodies = _bodies(R, p, frozenset(frames), turns)
-    d = _aligned(R, p, R_b, p_b, bodies, frozenset(frames), turns)
+    targets = _targets(a, b)
+    first, second, frames = _in_one_place(_moved(widened(a.doubted), moved), widened(b.doubted), targets)
+    which = np.repeat(np.arange(max(1, len(targets))), len(readings))  # every target in every configuration
+    readings = np.tile(readings, (max(1, len(targets)), 1))
+    covariates = {name: np.tile(values, max(1, len(targets))) for name, values in covariates.items()}
+    label = np.array(targets)[which] if targets else None
+    R, p, J_a = _looked_at(first, readings, covariates, label, a)
+    R_b, p_b, J_b = _looked_at(second, readings, covariates, label, b)
+    bodies = _bodies(R, p, which, frozenset(frames), turns)
+    d = _aligned((R, p), (R_b, p_b), which, bodies, frozenset(frames), turns)
     J = _columns(J_a, turns), _columns(J_b, turns)
     flat = bodies.reshape(d.size, -1)
     return BothPoses(readings, turns, (first, second), J, d.ravel(), flat, frames, tuple(notices))
+
+
+def _targets(a: SavedModel, b: SavedModel) -> tuple[str, ...]:
+    """Labels of the targets that both have, of a robot of several limbs; none of another, whose first target stands for all.
+
+    Raises:
+        AridcalError: they have none in common.
+    """
+    if not a.final.model.robot.others:
+        return ()
+    mine, other = ([label for label, _ in saved.final.model.tip_target if label is not None] for saved in (a, b))
+    if mine and other and not set(mine) & set(other):
+        raise AridcalError(
+            f"the calibrations have no target in common: one has {listed(mine)}, the other {listed(other)}. Call what is on one "
+            "link alike in both"
+        )
+    return tuple(label for label in mine if label in other)
 
 
 def _moved(solved: SolvedModel, by: Mapping[str, float]) -> SolvedModel:
@@ -127,8 +149,15 @@ def _drawn(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray
     return np.column_stack([drawn.pop(name) for name in robot.readings]), drawn
 
 
-def _in_one_place(a: SolvedModel, b: SolvedModel) -> tuple[SolvedModel, SolvedModel, dict[str, tuple[float, float]]]:
-    """Both with the frames of the first: where base or target were set up anew, this is no difference of arms.
+def _in_one_place(
+    a: SolvedModel, b: SolvedModel, targets: Sequence[str]
+) -> tuple[SolvedModel, SolvedModel, dict[str, tuple[float, float]]]:
+    """Both with the frames of the first: where base or targets were set up anew, this is no difference of arms.
+
+    Args:
+        a: The first.
+        b: The second.
+        targets: Those that are compared; none: the first one's frame is that of all.
 
     Returns:
         Both, and how far apart they have each frame that is not known to be the same, [m] and [rad].
@@ -138,26 +167,39 @@ def _in_one_place(a: SolvedModel, b: SolvedModel) -> tuple[SolvedModel, SolvedMo
     anew = {}
     changes: dict[str, Any] = {}
     for where in ("world_base", "tip_target"):
-        (_, mine), (_, other) = getattr(first, where)[0], getattr(second, where)[0]
-        step = mine.inverse() * other
-        apart = float(np.linalg.norm(step.translation)), float(Rotation.from_matrix(step.rotation).magnitude())
+        mine, other = getattr(first, where), getattr(second, where)
+        of_targets = dict(mine) if where == "tip_target" and targets else {}
+        pairs = (
+            [(of_targets[label], dict(other)[label]) for label in targets]
+            if of_targets
+            else [(mine[0][1], other[0][1])]
+        )
+        steps = [one.inverse() * another for one, another in pairs]
+        apart = (
+            max(float(np.linalg.norm(step.translation)) for step in steps),
+            max(float(Rotation.from_matrix(step.rotation).magnitude()) for step in steps),
+        )
         fitted = any(c.where == where and c.basis.constant for model, _ in models for c in model.coefficients)
         if fitted or max(apart) > SETTLED:
             anew[where] = apart
-            changes[where] = tuple((label, mine) for label, _ in getattr(second, where))
+            changes[where] = tuple((label, of_targets.get(label, mine[0][1])) for label, _ in other)
     moved = replace(second, **changes)
     return SolvedModel(first, theta_a, a.covariance), SolvedModel(moved, theta_b, b.covariance), anew
 
 
 def _looked_at(
-    solved: SolvedModel, readings: np.ndarray, covariates: Mapping[str, np.ndarray], saved: SavedModel
+    solved: SolvedModel,
+    readings: np.ndarray,
+    covariates: Mapping[str, np.ndarray],
+    target: np.ndarray | None,
+    saved: SavedModel,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Poses and Jacobian of one calibration, as it stood at its last row."""
     model = solved.model
     last = {name: np.full(len(readings), saved.seen.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
     labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    station = np.full(len(readings), labels[0]) if labels else None
-    rows = model.rows(readings, dict(covariates) | last, station)
+    station = np.full(len(readings), labels[0]) if labels and target is None else None
+    rows = model.rows(readings, dict(covariates) | last, station, target)
     return model.jacobian(solved.theta, rows)
 
 
@@ -167,8 +209,8 @@ def _columns(J: np.ndarray, turns: bool) -> np.ndarray:
     return own.reshape(-1, J.shape[2])
 
 
-def _bodies(R: np.ndarray, p: np.ndarray, anew: frozenset[str], turns: bool) -> np.ndarray:
-    """How the target moves with its base and on its tool, those of them that were set up anew, shape (M, 6 or 3, up to 12)."""
+def _bodies(R: np.ndarray, p: np.ndarray, which: np.ndarray, anew: frozenset[str], turns: bool) -> np.ndarray:
+    """How targets move with the base and on their tools, those set up anew, shape (M, 6 or 3, up to 6 + 6 targets)."""
     M = len(p)
     parts = [np.zeros((M, 6, 0))]
     eye = np.broadcast_to(np.eye(3), (M, 3, 3))
@@ -178,29 +220,30 @@ def _bodies(R: np.ndarray, p: np.ndarray, anew: frozenset[str], turns: bool) -> 
             np.concatenate([np.concatenate([eye, 0.0 * eye], axis=1), np.concatenate([cross, eye], axis=1)], axis=2)
         ]
     if "tip_target" in anew:
-        parts += [np.concatenate([np.concatenate([R, 0.0 * R], axis=1), np.concatenate([0.0 * R, R], axis=1)], axis=2)]
+        own = np.concatenate([np.concatenate([R, 0.0 * R], axis=1), np.concatenate([0.0 * R, R], axis=1)], axis=2)
+        parts += [own * (which == k)[:, None, None] for k in range(which.max() + 1)]
     found = np.concatenate(parts, axis=2)
     return found if turns else found[:, :3]
 
 
 def _aligned(
-    R: np.ndarray,
-    p: np.ndarray,
-    R_b: np.ndarray,
-    p_b: np.ndarray,
+    first: tuple[np.ndarray, np.ndarray],
+    second: tuple[np.ndarray, np.ndarray],
+    which: np.ndarray,
     bodies: np.ndarray,
     anew: frozenset[str],
     turns: bool,
 ) -> np.ndarray:
-    """What differs after base and target of the second were moved so that both agree best, shape (M, 6 or 3).
+    """What differs after base and targets of the second were moved so that both agree best, shape (M, 6 or 3).
 
     Gauss-Newton: what a motion leaves is small enough for one linear step only after it was taken off.
     """
-    base, tool = np.zeros(6), np.zeros(6)
+    (R, p), (R_b, p_b) = first, second
+    base, tool = np.zeros(6), np.zeros((which.max() + 1, 6))
     flat = bodies.reshape(-1, bodies.shape[2])
     for _ in range(STEPS):
-        there = p_b + np.einsum("nij,j->ni", R_b, tool[:3])
-        turned = R_b @ Rotation.from_rotvec(tool[3:]).as_matrix()
+        there = p_b + np.einsum("nij,nj->ni", R_b, tool[which, :3])
+        turned = R_b @ Rotation.from_rotvec(tool[:, 3:]).as_matrix()[which]
         turn = Rotation.from_rotvec(base[3:]).as_matrix()
         there, turned = there @ turn.T + base[:3], turn @ turned
         d = there - p
@@ -210,7 +253,7 @@ def _aligned(
             break
         step = np.linalg.lstsq(flat, -d.ravel(), rcond=None)[0]
         base += step[:6] if "world_base" in anew else 0.0
-        tool += step[-6:] if "tip_target" in anew else 0.0
+        tool += step[-tool.size :].reshape(-1, 6) if "tip_target" in anew else 0.0
         if np.abs(step).max() < SETTLED:
             break
     return np.asarray(d)

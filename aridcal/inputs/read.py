@@ -389,12 +389,12 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
-        rows = _with_routes(rows, asked.known, asked.robot)
+        rows = with_routes(rows, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
 
 
-def _with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
+def with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
     """The rows with the paths that they take.
 
     Raises:

@@ -85,7 +85,8 @@ class InverseKinematics:
 
     Attributes:
         model: What the robot does, effects and all.
-        low: Lower limits of the readings, shape (columns,), [rad] or [m]; -inf where there is none.
+        low: Lower limits of the readings, shape (columns,), [rad] or [m]; -inf where there is none, or where a joint
+            holds still.
         high: Upper limits, likewise.
         turning: Readings that turn a joint, shape (columns,) bool.
         pose: True where poses are wanted, False where positions alone are.
@@ -105,6 +106,11 @@ class InverseKinematics:
         """[m/rad]: an error of 1 rad counts as much as one of so many metres."""
         return self.noise[0] / self.noise[1] if self.pose else 1.0
 
+    @cached_property
+    def _moving(self) -> np.ndarray | slice:
+        """Columns that bring the target nearer: of a robot of one limb all, which costs no copy."""
+        return slice(None) if self.model.moves.all() else np.flatnonzero(self.model.moves)
+
     def command(self, R: np.ndarray, p: np.ndarray, seed: np.ndarray, covariates: Mapping[str, float]) -> Command:
         """Find readings near a seed.
 
@@ -123,9 +129,11 @@ class InverseKinematics:
             CovariateNotFound: one of them is missing.
         """
         best = self._approach(R, p, seed, covariates)
-        if len(seed) >= (6 if self.pose else 3) and FINEST < best.miss < NEARBY:
+        moving = int(self.model.moves.sum())
+        if moving >= (6 if self.pose else 3) and FINEST < best.miss < NEARBY:
             rng = np.random.default_rng(0)
-            for kick in KICK * rng.standard_normal((KICKS, len(seed))):
+            for kick in np.zeros((KICKS, len(seed))):
+                kick[self.model.moves] = KICK * rng.standard_normal(moving)
                 best = min(best, self._approach(R, p, seed + kick, covariates), key=lambda c: c.miss)
                 if best.miss < FINEST:
                     break
@@ -135,7 +143,7 @@ class InverseKinematics:
         q = np.minimum(np.maximum(seed, self.low), self.high)
         phase, damping = Phase.FAR, 0.0
         e, J = self._look(R, p, q, covariates, phase)
-        lean = len(q) < len(e)
+        lean = self.model.moves.sum() < len(e)
         for _ in range(STEPS):
             size = float(e @ e)
             if phase is Phase.FAR and size < NEARBY**2:
@@ -209,15 +217,18 @@ class InverseKinematics:
 
     def _step(self, J: np.ndarray, e: np.ndarray, q: np.ndarray, damping: float) -> np.ndarray:
         """Newton's step, or the least-squares one, inside the limits."""
-        step = _solve(J, e, damping)
+        step = np.zeros(len(q))
+        step[self._moving] = _solve(J[:, self._moving], e, damping)
         fastest = max(np.abs(step[self.turning]), default=0.0)
         shorter = TURN / fastest if fastest > TURN else 1.0
         trial = q + shorter * step
         inside = np.minimum(np.maximum(trial, self.low), self.high)
         stopped = inside != trial
-        while stopped.any() and not stopped.all():
+        while stopped.any():
             step = (inside - q) / shorter
-            free = ~stopped
+            free = ~stopped & self.model.moves
+            if not free.any():
+                break
             step[free] = _solve(J[:, free], e - J[:, stopped] @ step[stopped], damping)
             trial = q + shorter * step
             inside = np.minimum(np.maximum(trial, self.low), self.high)

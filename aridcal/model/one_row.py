@@ -80,6 +80,7 @@ class OneRowModel:
     Attributes:
         needs: Covariates that the effects depend on and that the caller must give, sorted.
         still: The effects' joints when no effect acts, shape (joints,).
+        moves: Columns that drive the joints of the target's path, shape (columns,) bool; all others hold still.
     """
 
     def __init__(self, model: Model, theta: np.ndarray, station: str | None = None) -> None:
@@ -95,6 +96,7 @@ class OneRowModel:
         self._factors, self._offsets = robot.factors, robot.offsets
         self._drive = np.zeros((self._size, len(robot.readings)))
         self._drive[locked.own] = self._factors[locked.joints]
+        self.moves: np.ndarray = np.any(self._drive != 0.0, axis=0)
         self.still = np.zeros(self._size)
         self.still[locked.own] = self._offsets[locked.joints]
 

@@ -8,18 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, listed
-from aridcal.fit.constants import constants, frame_coefficients, station_labels
+from aridcal.fit.constants import constants, frame_coefficients, frame_labels, station_labels
 from aridcal.fit.least_squares import UNKNOWN_NOISE
 from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.purposes import Box
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.things import Known, Rows, instruments_of, known_of
-from aridcal.instruments.catalogue import KINDS
+from aridcal.inputs.read import load_measurements, with_routes
+from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
@@ -125,10 +127,10 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
             f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
         )
-    if robot.others:
+    if robot.others and len(labelled(kind)) > 1:
         raise CampaignError(
-            f"{campaign.path}: instruments: poses of several limbs are not planned: plan each in a campaign of its own, with "
-            "things on the tip and in the world"
+            f"{campaign.path}: measurements.kind: what an image shows of several limbs (`kind: {kind}`) is not planned: plan "
+            "rows of another block, listed first, or one limb in a campaign of its own, with things on the tip and in the world"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
@@ -154,6 +156,13 @@ def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
     """What of the arm can touch what, the boxes of a campaign among it."""
     boxes = [(np.array(box.min), np.array(box.max)) for box in keep_out]
     return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
+
+
+def _unshaped(robot: Robot, bodies: Bodies) -> tuple[str, ...]:
+    """That limbs may meet where nothing is known of their shapes."""
+    if not robot.others or bodies.shaped:
+        return ()
+    return ("the URDF has no collision shapes: whether limbs touch each other is not looked at",)
 
 
 def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
@@ -187,7 +196,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         patterns=_patterns(rows),
         bodies=bodies,
         side=_side(campaign, robot, rows.readings),
-        notices=(*notices, *bodies.unread),
+        notices=(*notices, *bodies.unread, *_unshaped(robot, bodies)),
     )
 
 
@@ -199,6 +208,8 @@ def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
         robot: The chain.
         measured: Readings of the rows so far, shape (n, columns).
     """
+    if robot.others:  # a torso stands on no plane that its arms could not go below
+        return 0.0
     side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
     flanges = tip_frames(robot, measured)[1]
     return side if side and stands_above(robot, side, measured, flanges).all() else 0.0
@@ -230,6 +241,8 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         )
     known = known_of(campaign)
     refers = _referred(campaign, known)
+    labels = _targets(campaign, robot)
+    refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
     middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
     poses = settings.kind == "pose"
     rotation = np.tile(np.eye(3), (len(refers), 1, 1)) if poses else None
@@ -241,21 +254,41 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     directions = tuple(f"{name}_direction" for name in robot.readings)
     middle_of_play = dict.fromkeys(directions, np.zeros(len(refers)))
     rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()), covariates=middle_of_play, derived=directions)
-    if settings.kind not in OF_TARGETS:
+    if labels or settings.kind not in OF_TARGETS:
+        blocks = (Block(settings.title, settings.kind, channels, rows.sigma),)
+        block = np.zeros(len(refers), dtype=int)
+        refers = with_trackers(refers, blocks, block, robot.readings)
         made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
         rows = replace(
             rows,
             position=np.full((len(refers), 3), np.nan),
-            blocks=(Block(settings.title, settings.kind, channels, rows.sigma),),
-            block=np.zeros(len(refers), dtype=int),
+            rotation=None,
+            blocks=blocks,
+            block=block,
             observed=np.zeros((len(refers), max(1, len(kind.read)))),
             refers=refers,
             instruments=made,
         )
+    if labels:
+        rows = with_routes(replace(rows, target=target), known, robot)
     coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
-    world, tip = (((None, placement(frame)),) for frame in (campaign.frames.world_base, campaign.frames.tip_target))
-    model = Model(robot, coefficients, world, tip, instruments=rows.instruments)
-    model = replace(model, around=surroundings(campaign, model, loaded=False))
+    frames = campaign.frames
+    model = Model(
+        robot,
+        coefficients,
+        ((None, placement(frames.world_base)),),
+        tuple(
+            (label, placement(campaign.instruments.targets.get(str(label), frames.tip_target)))
+            for label in frame_labels("tip_target", frames.tip_target, (), rows)
+        ),
+        instruments=rows.instruments,
+        routes=rows.routes,
+        target_on=campaign.instruments.targets_on(robot.tip),
+    )
+    around = surroundings(campaign, model, loaded=False)
+    if labels:
+        around = replace(around, sights=Sights(np.array([frame.translation for _, frame in model.tip_target])))
+    model = replace(model, around=around)
     assumed = [
         f"noise.{c.name} is not said: planned with {s * c.scale:g} {c.shown}"
         for c, own, s in zip(channels, stated, sigma.tolist(), strict=True)
@@ -273,7 +306,19 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         patterns=rows,
         bodies=bodies,
         side=_side(campaign, robot, np.zeros((0, len(robot.readings)))),
-        notices=(*assumed, *bodies.unread),
+        notices=(*assumed, *bodies.unread, *_unshaped(robot, bodies)),
+    )
+
+
+def _targets(campaign: Campaign, robot: Robot) -> list[str]:
+    """Labels of the targets that rows of a robot of several limbs measure; none of a robot of one."""
+    if not robot.others:
+        return []
+    settings = campaign.measurements
+    return (
+        [settings.target or TIP]
+        if settings.target or not campaign.instruments.targets
+        else list(campaign.instruments.targets)
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +18,8 @@ from aridcal.model.reaching import Miss, brought, draw_readings, off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.clearance import clear, unobstructed
 from aridcal.planning.mounting import stands_above
+from aridcal.robot.chain import Route
+from aridcal.robot.kinematics import tip_frames
 
 ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
@@ -144,13 +146,38 @@ def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tup
     base = [known.model.frames(known.theta)[0][k][1] for k in rows.world.tolist()]
     turn = np.array([frame.rotation for frame in base]).reshape(-1, 3, 3)
     off = p - np.array([frame.translation for frame in base]).reshape(-1, 3)
-    return np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, off)
+    found = np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, off)
+    for some, route in _by_route(known, pattern):
+        if route.start is not None:  # such rows are of what the target is to a link
+            limb = known.robot.between(None, route.start)
+            columns = [known.robot.readings.index(name) for name in limb.readings]
+            axes, origin = tip_frames(limb, readings[some][:, columns])
+            found[0][some], found[1][some] = axes @ R[some], origin + np.einsum("nij,nj->ni", axes, p[some])
+    return found
+
+
+def ends(known: Beforehand) -> list[int]:
+    """Patterns of which the targets are to be known: the first of each path."""
+    route = known.patterns.route
+    return [0] if route is None else sorted(np.unique(route, return_index=True)[1].tolist())
+
+
+def _by_route(known: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
+    """Which of some rows take which path; see :func:`rows_like`."""
+    routes, route = known.patterns.routes, known.patterns.route
+    if route is None:
+        yield slice(None), routes[0]
+        return
+    for k in np.unique(route[pattern]).tolist():
+        yield np.flatnonzero(route[pattern] == k), routes[k]
 
 
 def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
     own = in_base(known, readings, pattern)[1]
-    good = clear(known.robot, known.boxes, known.bodies, readings, own)
+    good = np.empty(len(readings), dtype=bool)
+    for some, route in _by_route(known, pattern):
+        good[some] = clear(known.robot, known.boxes, known.bodies, readings[some], own[some], route.end)
     return good & stands_above(known.robot, known.side, readings, own) if known.side else good
 
 

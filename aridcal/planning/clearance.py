@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from aridcal.inputs.purposes import Box
 from aridcal.robot.chain import Robot
 from aridcal.robot.collisions import Bodies, lines_touch, touches
-from aridcal.robot.kinematics import joint_frames
+from aridcal.robot.kinematics import joint_frames, tip_frames
 
 THICK = 0.05
 """[m]: half of what the thinnest arms of industrial robots measure across."""
 
 
-def clear(robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
+def clear(
+    robot: Robot,
+    boxes: Sequence[Box],
+    bodies: Bodies,
+    readings: np.ndarray,
+    targets: np.ndarray,
+    carrier: str | None = None,
+) -> np.ndarray:
     """True of configurations in which nothing of the arm touches what it must not, shape (n,).
 
     The arm is at least a line from joint to joint and on to its target, and keeps out of boxes; where the URDF has collision
-    shapes, so do these, and out of each other.
+    shapes, so do these, and out of each other. Of several limbs each is a line, from joint to joint and to its end.
 
     Args:
         robot: The chain.
@@ -27,11 +34,15 @@ def clear(robot: Robot, boxes: Sequence[Box], bodies: Bodies, readings: np.ndarr
         bodies: What the URDF says of its shapes, with the boxes.
         readings: Shape (n, columns), [rad] or [m].
         targets: Where the target is in the base's frame, shape (n, 3), [m].
+        carrier: The link that carries it; None: the tip.
     """
-    points = np.concatenate([joint_frames(robot, readings)[1], targets[:, None]], axis=1)
     good = np.ones(len(readings), dtype=bool)
-    for box in boxes:
-        good &= ~crosses(points[:, :-1], points[:, 1:], box).any(axis=1)
+    for limb, columns in of_limbs(robot):
+        own = readings[:, columns]
+        end = targets if limb.tip == (carrier or robot.tip) else tip_frames(limb, own)[1]
+        points = np.concatenate([joint_frames(limb, own)[1], end[:, None]], axis=1)
+        for box in boxes:
+            good &= ~crosses(points[:, :-1], points[:, 1:], box).any(axis=1)
     if bodies.any:
         good[good] = ~touches(robot, bodies.geometry, readings[good]).any(axis=1)
     return good
@@ -58,10 +69,18 @@ def unobstructed(
     if bodies.shaped:
         good[good] = ~lines_touch(robot, bodies.geometry, readings[good], starts[good], ends[good])
         return good
-    points = joint_frames(robot, readings)[1]
-    for k in range(points.shape[1] - 1):
-        good &= apart(starts, ends, points[:, k], points[:, k + 1]) > THICK
+    for limb, columns in of_limbs(robot):
+        points = joint_frames(limb, readings[:, columns])[1]
+        for k in range(points.shape[1] - 1):
+            good &= apart(starts, ends, points[:, k], points[:, k + 1]) > THICK
     return good
+
+
+def of_limbs(robot: Robot) -> Iterator[tuple[Robot, list[int]]]:
+    """Each limb that moves, and which of the robot's columns drive it."""
+    for limb in robot.limbs:
+        if limb.joints:
+            yield limb, [robot.readings.index(name) for name in limb.readings]
 
 
 def apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.inputs.orientations import column_of
 from aridcal.planning.approaches import Approaches, as_they_come, from_both_sides
 from aridcal.planning.beforehand import Beforehand
-from aridcal.planning.candidates import Candidates, allowed, draw_candidates, offers
+from aridcal.planning.candidates import Candidates, allowed, draw_candidates, ends, offers
 from aridcal.planning.coverage import Coverage, Sigma, coverage, indices, sigma_of, told_sigma
 from aridcal.planning.exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma
 from aridcal.planning.refine import Refined, refined
@@ -207,7 +207,7 @@ def question(known: Beforehand, asked: Asked, candidates: Candidates, region: np
                 f"--apart {','.join(asked.apart)}: no configuration tells {name} from the other one and from the constants: the "
                 "data of this kind cannot"
             )
-    target = target_columns(known, of, region, 0, parts)
+    target = np.concatenate([target_columns(known, of, region, k, parts) for k in ends(known)])
     choice = Choice(of.candidates, of.known, target, np.ones(len(target)), of.things, asked.criterion)
     return choice, of
 

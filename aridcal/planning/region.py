@@ -25,7 +25,7 @@ def region_readings(known: Beforehand, path: Path | None, rng: np.random.Generat
         return region(known, own.file, rng, own.tool)
     if own.joints:
         seen = known.rows.readings
-        ends = (seen.min(axis=0), seen.max(axis=0)) if len(seen) else limits_of(known.robot)
+        ends = (np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)) if len(seen) else limits_of(known.robot)
         low, high = corners(known.campaign, known.robot, *ends)
         readings = rng.uniform(low, high, (PLACES, len(low)))
     else:

@@ -32,7 +32,12 @@ POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
 
 
 def say_covariates(
-    table: Table, used: set[str], made: Proposal, clock: str | None = None, noise: str = POSE_NOISE
+    table: Table,
+    used: set[str],
+    made: Proposal,
+    clock: str | None = None,
+    noise: str = POSE_NOISE,
+    spare: Collection[str] = (),
 ) -> None:
     """Say what the columns are that are left: sigmas of the rows, covariates, and what is neither.
 
@@ -42,6 +47,7 @@ def say_covariates(
         made: Told what was found.
         clock: Column of seconds that was made of dates.
         noise: How it is stated.
+        spare: Columns of joints that no row's path has.
     """
     std = [name for name in STD if name in table.cells]
     why = f"not known: it is estimated. If you know it, write {noise}"
@@ -63,6 +69,7 @@ def say_covariates(
     families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
     in_families = {name for family in families for name in family.columns}
     reasons = {name: _no_covariate(table, name, in_families) for name in free}
+    reasons |= dict.fromkeys(spare, "a joint of another limb")
     reasons |= {name: f"not in {path.name} as a plain column" for name, path in table.partial.items()}
     ignored = [name for name in reasons if reasons[name]]
     if ignored:

@@ -14,6 +14,10 @@ from aridcal.robot.chain import Robot
 Choose = Callable[[str, Sequence[str], str], int | None]
 
 
+OF_TARGETS = "instruments.targets."
+"""Keys of questions that are asked of each label."""
+
+
 @dataclass(frozen=True)
 class Guess:
     """One thing that a campaign says, and why.
@@ -58,7 +62,7 @@ class Asker:
         """The number of the answer, from 0, to a question that must not be guessed.
 
         Args:
-            key: Of the campaign, below ``measurements``.
+            key: Of the campaign, below ``measurements`` unless it begins with ``robot.`` or ``instruments.``.
             question: Without its mark.
             answers: The likeliest first.
             why: What is the matter.
@@ -74,7 +78,8 @@ class Asker:
             return given - 1
         answer = self.choose(question, answers, why)
         if answer is None:
-            becomes = f"This becomes `measurements.{key}`. " if self.drafts else ""
+            place = key if key.startswith(("robot.", "instruments.")) else f"measurements.{key}"
+            becomes = f"This becomes `{place}`. " if self.drafts else ""
             raise Unanswered(
                 f"{question}? {why[:1].upper()}{why[1:]}. {becomes}Run this again with "
                 f"`--set {key}=NUMBER`: {_numbered(answers)}"
@@ -91,7 +96,7 @@ class Asker:
             CampaignError: naming it.
         """
         for key in self.settled:
-            if key not in asked:
+            if key not in asked and not key.startswith(OF_TARGETS):
                 raise CampaignError(f"--set {key}: nothing of that name is ever asked{nearest(key, asked)}")
 
 

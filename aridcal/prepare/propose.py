@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +25,11 @@ from aridcal.prepare.column_names import (
 )
 from aridcal.prepare.covariates import say_covariates, say_repeats
 from aridcal.prepare.guesses import Asker, Proposal, ask
+from aridcal.prepare.limbs import limbs_of
 from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
 from aridcal.prepare.other_kinds import other_kind, say_other_kind
 from aridcal.prepare.units_and_angles import Reading, Sample, one_slip_away, readings, rounded
-from aridcal.robot.chain import Robot, chain
+from aridcal.robot.chain import Robot, chain, with_limbs
 from aridcal.robot.tree import read_tree
 
 # Share of rows in which a quaternion's norm is 1.
@@ -54,7 +55,7 @@ COMPUTED_ALONE = (
 )
 """What is said of positions that a controller computes, where there are no others."""
 
-QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns", "units", "orientation")
+QUESTIONS = ("table.sheet", "table.dates", "table.decimal", "joints", "columns", "units", "orientation", "robot.tip")
 """Keys of what may be asked; answers may be given beforehand."""
 
 
@@ -73,6 +74,44 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | No
         RobotError: the URDF cannot be read, or has no serial chain.
     """
     chains = _chains(urdf, path)
+
+    def fit(robot: Robot, columns: Mapping[str, str], label: str | None) -> float:
+        return _fit(table, robot, columns, label)
+
+    limbs = limbs_of(chains, table, lambda ends: _tip(ends, asker)[0], fit, asker)
+    if limbs is None:
+        made, columns = _one_chain(chains, table, asker)
+    else:
+        made, columns = Proposal(limbs.robot), limbs.columns
+        limbs.say(made)
+    robot = made.robot
+    joint_columns = [columns[name] for name in robot.readings]
+    used = set(columns.values())
+    if limbs is not None and limbs.on:
+        made.robot = with_limbs(robot, list(limbs.on.values()))
+    spare = limbs.spare if limbs is not None else ()
+    if (other := other_kind(table, used)) is not None:
+        kind, own = other
+        turning = np.array([joint != "prismatic" for joint in robot.kinds])
+        used |= {*say_other_kind(kind, own, table, joint_columns, turning, made), *_split(table, used, made)}
+        say_covariates(table, used, made, clock, kind.noise, spare)
+        return made
+    place = _position(table, robot, used, joint_columns, asker, made)
+    used |= {*place.columns, *_split(table, used, made)}
+    sample, rows = _sample(table, robot, joint_columns, place)
+    reading = _units(sample, robot, joint_columns, place.columns, asker, made)
+    used |= say_orientation(table, used, place, rows, reading, asker, made)
+    _gravity(reading, made)
+    say_covariates(table, used, made, clock, spare=spare)
+    if made.robot is robot:
+        say_repeats(sensible(table, joint_columns), reading, made)
+    return made
+
+
+def _one_chain(
+    chains: dict[tuple[str, ...], list[Robot]], table: Table, asker: Asker
+) -> tuple[Proposal, dict[str, str]]:
+    """What is said of the one chain whose joints have columns, and the column of each."""
     joints, columns, how = _joints(chains, table, asker)
     robot, sure = _tip(chains[joints], asker)
     made = Proposal(robot)
@@ -80,23 +119,7 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Asker, clock: str | No
     ends = f"{robot.names[0]} … {robot.names[-1]}" if len(robot.names) > 1 else robot.names[0]
     made.say("robot.tip", robot.tip, f"end of the chain {ends}; anything rigid after the last joint does as well", sure)
     made.say_columns(columns, HOW.get(how, "named as in the URDF"), sure=how != "order")
-    joint_columns = [columns[name] for name in robot.readings]
-    used = set(columns.values())
-    if (other := other_kind(table, used)) is not None:
-        kind, own = other
-        turning = np.array([joint != "prismatic" for joint in robot.kinds])
-        used |= {*say_other_kind(kind, own, table, joint_columns, turning, made), *_split(table, used, made)}
-        say_covariates(table, used, made, clock, kind.noise)
-        return made
-    place = _position(table, used, joint_columns, asker, made)
-    used |= {*place.columns, *_split(table, used, made)}
-    sample, rows = _sample(table, robot, joint_columns, place)
-    reading = _units(sample, robot, joint_columns, place.columns, asker, made)
-    used |= say_orientation(table, used, place, rows, reading, asker, made)
-    _gravity(reading, made)
-    say_covariates(table, used, made, clock)
-    say_repeats(sensible(table, joint_columns), reading, made)
-    return made
+    return made, columns
 
 
 def _chains(urdf: bytes, path: Path) -> dict[tuple[str, ...], list[Robot]]:
@@ -193,11 +216,14 @@ def _tip(robots: Sequence[Robot], asker: Asker) -> tuple[Robot, bool]:
     return ends[picked], sure
 
 
-def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker, made: Proposal) -> Family:
+def _position(
+    table: Table, robot: Robot, used: set[str], joints: Sequence[str], asker: Asker, made: Proposal
+) -> Family:
     """The columns of the measured position.
 
     Args:
         table: The measurements.
+        robot: The chain.
         used: Columns that are spoken for.
         joints: Column of each reading.
         asker: Asked where more than one position may be the measured one.
@@ -216,7 +242,7 @@ def _position(table: Table, used: set[str], joints: Sequence[str], asker: Asker,
     surest = [family for family in likely if family.about & (MEASURED - ON_A_BODY)]
     moved, left = likely, ""
     if len(likely) > 1 and len(surest) != 1:
-        moved = [family for family in likely if _moves_along(table, made.robot, joints, family)]
+        moved = [family for family in likely if _moves_along(table, robot, joints, family)]
         left = "; the others do not move as the robot does" if len(moved) == 1 else ""
     elif len(surest) == 1:
         moved = surest
@@ -251,24 +277,38 @@ def _no_position(table: Table, free: Sequence[str]) -> str:
 
 def _moves_along(table: Table, robot: Robot, joints: Sequence[str], place: Family) -> bool:
     """True of positions that some way to read them finds near the nominal robot's."""
+    return _share(table, robot, joints, place) <= STRANGE_SHARE
+
+
+def _fit(table: Table, robot: Robot, columns: Mapping[str, str], label: str | None) -> float:
+    """How far a chain is from the nearest positions that may have been measured, as a share of their spread."""
+    free = [name for name in table.names if name and name not in columns.values()]
+    joints = [columns[name] for name in robot.readings]
+    likely = [family for family in places(free) if not (family.commanded or family.computed)]
+    return min((_share(table, robot, joints, family, label) for family in likely), default=1.0)
+
+
+def _share(table: Table, robot: Robot, joints: Sequence[str], place: Family, label: str | None = None) -> float:
+    """How far positions are from the nominal robot's, as a share of their spread, read in the way that fits best."""
     try:
-        sample, _ = _sample(table, robot, joints, place)
+        sample, _ = _sample(table, robot, joints, place, label)
     except MeasurementError:
-        return False
-    return min((reading.share for reading in readings(sample, robot)), default=1.0) <= STRANGE_SHARE
+        return 1.0
+    return min((reading.share for reading in readings(sample, robot)), default=1.0)
 
 
 def _split(table: Table, used: set[str], made: Proposal) -> list[str]:
-    """The column, if any, that tells rows to train with from rows to test with; a `station` is spoken for as well."""
+    """The column, if any, that tells rows to train with from those to test with, `station` and `target`: spoken for as well."""
     free = [name for name in table.names if name not in used]
     found = [name for name in free if set(table.texts(name)) <= {"train", "test"}][:1]
     for name in found:
         made.say_columns({"split": name}, f"the column {name} says train or test: it is kept to")
-    station = ["station"] if "station" in table.cells else []
-    return [*found, *station]
+    return [*found, *(name for name in ("station", TARGET) if name in table.cells)]
 
 
-def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) -> tuple[Sample, np.ndarray]:
+def _sample(
+    table: Table, robot: Robot, joints: Sequence[str], place: Family, label: str | None = None
+) -> tuple[Sample, np.ndarray]:
     """Rows to judge by, and their numbers in the table.
 
     Args:
@@ -276,6 +316,7 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
         robot: The chain.
         joints: Column of each reading.
         place: Columns of the position.
+        label: Of the target to judge by; None: that of most rows.
 
     Raises:
         MeasurementError: too few rows have all of these.
@@ -284,7 +325,7 @@ def _sample(table: Table, robot: Robot, joints: Sequence[str], place: Family) ->
     finite = np.isfinite(q).all(axis=1) & np.isfinite(position).all(axis=1)
     if TARGET in table.cells:  # points of a board: of one alone, since each has a place of its own
         words, counts = np.unique(table.texts(TARGET), return_counts=True)
-        finite &= table.texts(TARGET) == words[np.argmax(counts)]
+        finite &= table.texts(TARGET) == (words[np.argmax(counts)] if label is None else label)
     whole = np.flatnonzero(finite)
     if len(whole) < FEWEST:
         counts = np.isfinite(np.hstack([q, position])).sum(axis=0)

@@ -17,7 +17,6 @@ from aridcal.inputs.approach import approach
 from aridcal.inputs.counting import counting
 from aridcal.inputs.query import Query
 from aridcal.model.inverse import Command, InverseKinematics
-from aridcal.model.model import Model
 from aridcal.result.predict import (
     at_any_station,
     directions,
@@ -71,7 +70,8 @@ def compensate(
 
     Returns:
         The query's table with the joints, ``reached``, ``position_error``, ``rotation_error`` and ``extrapolates``, N
-        rows; a row that lacks a number has no command.
+        rows; a row that lacks a number has no command. Joints of other limbs stay where the table, or the row before, has
+        them: at first in the middle of what was seen. Those that no command moves get no column.
 
     Raises:
         CovariateNotFound: an effect depends on a column that is not there.
@@ -83,8 +83,9 @@ def compensate(
     readings = np.array([command.readings for command in found])
     table = query.table.copy()
     cells = counting(settings, robot.readings, robot.kinds).cells(readings)
-    for k, name in enumerate(robot.readings):
-        table[settings.columns.get(name, name)] = cells[:, k]
+    names = [settings.columns.get(name, name) for name in robot.readings]
+    for k in np.flatnonzero(moved(saved) | np.isin(names, table.columns)):
+        table[names[k]] = cells[:, k]
     for name in directions(saved):
         table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
     table["reached"] = [command.reached for command in found]
@@ -94,6 +95,14 @@ def compensate(
     commanded = replace(query, readings=readings, covariates=covariates)
     table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))
     return with_told(saved, commanded, table)
+
+
+def moved(saved: SavedModel) -> np.ndarray:
+    """Columns that commands set, for one target or another, shape (columns,) bool."""
+    model = saved.final.model
+    if len(model.routes) == 1:
+        return at_any_station(saved).model.moves
+    return np.any([saved.inverse_kinematics(label).model.moves for label, _ in model.tip_target], axis=0)
 
 
 def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np.ndarray]]:
@@ -185,7 +194,7 @@ class _Walk:
             own = query.readings[k]
             seed = np.where(np.isnan(own), self._last, own)
             best = inverse.command(R[k], query.position[k], seed, given)
-            if np.isnan(own).any() or not best.reached:
+            if np.isnan(own[inverse.model.moves]).any() or not best.reached:
                 best = _searched(inverse, R[k], query.position[k], given, self._seen, self._rng, best)
             self._last = best.readings
             found.append(best)
@@ -218,15 +227,17 @@ def _searched(
 
     def preferred(command: Command) -> tuple[bool, float, float]:
         """Sorts commands, the best first: those that reach the pose, those that miss it least, the nearest to the ranges."""
-        return not command.reached, 0.0 if command.reached else command.miss, _outside(command.readings, seen)
+        outside = _outside(command.readings[moves], seen[moves])
+        return not command.reached, 0.0 if command.reached else command.miss, outside
 
-    middle = seen.mean(axis=1)
-    turns = np.where(inverse.turning, np.round((middle - found.readings) / TURN), 0.0)
+    moves = inverse.model.moves
+    middle = np.where(moves, seen.mean(axis=1), found.readings)
+    turns = np.where(inverse.turning & moves, np.round((middle - found.readings) / TURN), 0.0)
     starts = (found.readings + TURN * turns, middle)
     for k in range(-len(starts), RESTARTS):
-        if found.reached and _outside(found.readings, seen) == 0.0:
+        if found.reached and _outside(found.readings[moves], seen[moves]) == 0.0:
             return found
-        start = starts[k] if k < 0 else rng.uniform(seen[:, 0], seen[:, 1])
+        start = starts[k] if k < 0 else np.where(moves, rng.uniform(seen[:, 0], seen[:, 1]), found.readings)
         found = min(found, inverse.command(R, p, start, covariates), key=preferred)
     return found
 
@@ -257,8 +268,8 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
     """Tabulate the corrections of a controller that knows the nominal robot alone.
 
     They bring the real target to where the nominal robot, with the base and the target where the calibration found
-    them, would have it. Covariates stand in the middle of their ranges, backlash in the middle of its play. Near a
-    singularity the corrections stay small and leave an error.
+    them, would have it. Covariates, and joints of other limbs, stand in the middle of their ranges, backlash in the middle
+    of its play. Near a singularity the corrections stay small and leave an error.
 
     Args:
         saved: The model.
@@ -277,14 +288,16 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
         raise AridcalError(
             f"the calibration does not say in which range {unseen[0]} was measured: run `aridcal identify` again"
         )
+    inverse = saved.inverse_kinematics()
     seen = np.array([saved.ranges[name] for name in model.robot.readings])
+    held = ~inverse.model.moves
+    seen[held] = seen[held].mean(axis=1, keepdims=True)
     axes = tuple(np.linspace(low, high, points if high > low else 1) for low, high in seen)
     sizes = [len(axis) for axis in axes]
     if math.prod(sizes) > MOST_POINTS:
         raise AridcalError(f"--grid {points}: would have more than {MOST_POINTS:,} points; take fewer")
     world, tip = saved.expected.model.frames(saved.expected.theta)
-    nominal = Model(model.robot, (), world, tip)
-    inverse = saved.inverse_kinematics()
+    nominal = replace(model, coefficients=(), world_base=world, tip_target=tip)
     middle = {name: float(np.mean(saved.ranges[name])) for name in inverse.model.needs if name in saved.ranges}
     middle |= saved.assumed | dict.fromkeys(directions(saved), 0.0)
 

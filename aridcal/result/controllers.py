@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from aridcal.model.model import Model
 from aridcal.result.key_figures import scored
 from aridcal.result.outcome import Outcome, leading
 from aridcal.robot.chain import Robot, same_chain
-from aridcal.robot.dh import doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
+from aridcal.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.trust.regions import Region, Regions, regions
 
 ROWS = 2000  # that an export is fitted to
@@ -147,17 +149,14 @@ def by_region(outcome: Outcome) -> Regions | None:
 
 def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
     """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
-    robot, nominal, calibrated = outcome.robot, outcome.robot.main, handover.calibrated.main
-    limb = [f"Of the chain from {nominal.base} to {nominal.tip} alone."] if robot.others else []
+    robot = outcome.robot
 
     def write(name: str, text: str, export: str, *notes: str) -> None:
         lines = [*_statement(handover, export), *notes]
         (folder / name).write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
 
-    write("kinematics.yaml", kinematics_yaml(nominal, calibrated), "URDF alone", *limb)
-    for name, table in (("dh.yaml", standard_dh(calibrated)), ("dh_modified.yaml", modified_dh(calibrated))):
-        write(name, table.dump(), "URDF alone", *limb, *table.warnings)
-    write("doty.yaml", doty_yaml(calibrated), "URDF alone", *limb)
+    for name, table in tables(robot, handover.calibrated).items():
+        write(name, table.text, "URDF alone", *table.notes)
     text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
     taken = [name for name in robot.readings if name not in handover.offsets]
     write(
@@ -184,6 +183,65 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
             for name, (at, value) in handover.maps.items()
         ]
         pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Constants of `calibrated.urdf` as one kind of controller reads them.
+
+    Attributes:
+        text: YAML; of a robot of several limbs under ``limbs``, each by the link that it leads to.
+        notes: What is said above it.
+    """
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
+    """Tables of link parameters, by file: of each limb from the base outwards, where it has them."""
+
+    def doty(before: Robot, after: Robot) -> Table:
+        return Table(doty_yaml(after), ())
+
+    def makers(before: Robot, after: Robot) -> Table:
+        return Table(kinematics_yaml(before, after), ())
+
+    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], Table]:
+        def made(before: Robot, after: Robot) -> Table:
+            table = make(after)
+            return Table(table.dump(), tuple(table.warnings))
+
+        return made
+
+    ways = {
+        "kinematics.yaml": makers, "dh.yaml": dh(standard_dh), "dh_modified.yaml": dh(modified_dh), "doty.yaml": doty,
+    }  # fmt: skip
+    return {name: _by_limb(make, nominal, calibrated) for name, make in ways.items()}
+
+
+def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
+    """A table of the chain, or of each limb."""
+    if not nominal.others:
+        return make(nominal, calibrated)
+    parts, notes = (
+        [],
+        [f"Of each limb, from {nominal.base} to the link that it is named by; joints that limbs share stand in each."],
+    )
+    for before, after in zip(nominal.limbs, calibrated.limbs, strict=True):
+        if not before.joints:
+            notes.append(
+                f"Of {before.tip} none: no joint moves between it and {before.base}; calibrated.urdf has where it is."
+            )
+        elif before.climbs:
+            notes.append(
+                f"Of {before.tip} none: the way from {before.base} climbs, and such tables are of chains outwards."
+            )
+        else:
+            table = make(before, after)
+            parts.append(f"  {before.tip}:\n{indent(table.text, '    ')}")
+            notes += [f"{before.tip}: {note}" for note in table.notes]
+    return Table("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
 
 
 def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
@@ -301,8 +359,8 @@ def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndar
             (c.basis.numbers[0] for k in own if (c := found.model.coefficients[k]).basis.form in ("sin", "cos")),
             default=0.0,
         )
-        count = max(MAP_POINTS, int(PER_WAVE * order * np.ptp(at) / (2.0 * np.pi)) + 1)
-        points = np.linspace(at.min(), at.max(), count)
+        count = max(MAP_POINTS, int(PER_WAVE * order * (np.nanmax(at) - np.nanmin(at)) / (2.0 * np.pi)) + 1)
+        points = np.linspace(np.nanmin(at), np.nanmax(at), count)
         phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
         curves[joint.name] = points, found.theta[own] @ phi
     return curves

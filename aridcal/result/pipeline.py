@@ -29,6 +29,7 @@ from aridcal.model.rigid_bodies import targets_of_one_body
 from aridcal.reading.freed import give_back
 from aridcal.result.gravity_direction import gravity_direction
 from aridcal.result.groups import LEAST, groups
+from aridcal.result.limbs import limb_redundancies
 from aridcal.result.measuring_head import lens_found, measuring_head
 from aridcal.result.outcome import Outcome, Stage, Verification
 from aridcal.result.reading import Job, looked_again, read_job
@@ -218,6 +219,7 @@ def _outcome(
             *_searched(train, len(kept), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
+            *limb_redundancies(arm.geometry.geometric),
             *(str(n) for n in rows.notices),
         ),
         seconds=0.0,

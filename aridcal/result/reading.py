@@ -69,7 +69,7 @@ def read_job(
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
     read = read_rows(campaign, robot, cache, seed, progress)
     rows = with_directions(read.rows)
-    still = _check_motion(read.campaign, rows)
+    still = _check_motion(read.campaign, robot, rows)
     return Job(read.campaign, robot, rows, read.detections, still, started, seed, cache)
 
 
@@ -77,7 +77,7 @@ def looked_again(job: Job, lens: np.ndarray, progress: Progress) -> Job:
     """The same job, fiducials looked for again in its images by another lens, intrinsics of shape (9,)."""
     read = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
     rows = with_directions(read.rows)
-    return replace(job, rows=rows, detections=read.detections, still=_check_motion(read.campaign, rows))
+    return replace(job, rows=rows, detections=read.detections, still=_check_motion(read.campaign, job.robot, rows))
 
 
 def read_rows(
@@ -97,7 +97,7 @@ def read_rows(
     return Read(campaign, load_measurements(campaign, robot.readings, robot.limits, robot.kinds, seed, robot=robot))
 
 
-def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
+def _check_motion(campaign: Campaign, robot: Robot, rows: Dataset) -> tuple[str, ...]:
     """Refuse rows that can tell nothing whatever the model, and name the joints that never move."""
     if not rows.train.any():
         raise MeasurementError(f"{rows.title}: every row is held out: mark some as `train` in the column `split`")
@@ -108,10 +108,14 @@ def _check_motion(campaign: Campaign, rows: Dataset) -> tuple[str, ...]:
             f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
             "`set: none`, and no effect is declared or sought. Change one of them"
         )
-    travel = np.ptp(rows.readings[rows.train], axis=0)
-    still = [name for name, moved in zip(rows.names, travel, strict=True) if moved < STILL]
+    read = rows.readings[rows.train]  # cells of joints off a row's path may be empty
+    high, low = (np.where(np.isnan(read), end, read) for end in (-np.inf, np.inf))
+    travel = high.max(axis=0) - low.min(axis=0)
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if 0.0 <= moved < STILL]
     if len(still) == len(rows.names):
         count = rows.train.sum()
         why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
         raise MeasurementError(f"{rows.title}: {why}: nothing can be identified. Measure other configurations")
-    return tuple(f"{name} never moves: its parameters are confounded with its neighbours'" for name in still)
+    return tuple(
+        f"{robot.with_limb(name)} never moves: its parameters are confounded with its neighbours'" for name in still
+    )

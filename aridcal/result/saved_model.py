@@ -349,9 +349,9 @@ class SavedModel:
         """Readings for wanted poses at a station; made once for each."""
         if station not in self._inverses:
             robot = self.final.model.robot
-            low, high = robot.limits.T
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
             one_row = OneRowModel(self.expected.model, self.expected.theta, station)
+            low, high = np.where(one_row.moves[:, None], robot.limits, (-np.inf, np.inf)).T
             self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.kind == "pose", self.noise)
         return self._inverses[station]
 

@@ -227,6 +227,18 @@ class Robot:
             own[:] = driven(joint.drive, readings, column)
         return found
 
+    def limbs_of(self, place: str) -> tuple[str, ...]:
+        """Links to which limbs lead that have a joint on their way, a moving or a fixed one."""
+        ways = {limb.tip: {*limb.names, *(each.name for gap in limb.fixed for each in gap)} for limb in self.limbs}
+        return tuple(tip for tip, names in ways.items() if place in names)
+
+    def with_limb(self, place: str) -> str:
+        """A joint with the limb that it is of, in words: ``j3 (limb to left_hand)``; of a robot of one limb its name alone."""
+        limbs = self.limbs_of(place) if self.others else ()
+        if not limbs:
+            return place
+        return f"{place} (limb to {limbs[0]})" if len(limbs) == 1 else f"{place} (below {' and '.join(limbs)})"
+
     @cached_property
     def tree(self) -> pin.Model:
         """The whole URDF as Pinocchio reads it, every mimic joint free."""

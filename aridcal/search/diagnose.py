@@ -14,7 +14,6 @@ from aridcal.effects.kinds import Observed
 from aridcal.effects.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
 from aridcal.effects.loads import covariate_table
 from aridcal.effects.place_scatter import is_scatter
-from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
 from aridcal.fit.flags import cluster, flagged, limits
@@ -449,8 +448,8 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     table = covariate_table(
         model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
     )
-    sights = model.around.sights
-    table |= sight_table(model.robot, rows.readings, sights, np.atleast_2d(model.around.gravity)[0], frames.tip)
+    gravity = np.atleast_2d(model.around.gravity)[0]
+    table |= model.sight_columns(rows.readings, gravity, frames.tip, frames.route)
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
     labels = [label_column(label) for label in labels_in(rows.station)]

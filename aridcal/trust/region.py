@@ -77,7 +77,9 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     if asked.file is None and not asked.joints:
         return None
     if asked.file is None:
-        return spread_out(*corners(campaign, robot, train.readings.min(axis=0), train.readings.max(axis=0)))
+        return spread_out(
+            *corners(campaign, robot, np.nanmin(train.readings, axis=0), np.nanmax(train.readings, axis=0))
+        )
     path = asked.file
 
     def reach(places: np.ndarray) -> np.ndarray:

@@ -85,7 +85,12 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
 
     found = [
         Suspect(
-            "zero", joint.name, f"the zero of {joint.name}", along([zero_of(joint)]), SIZES, joint.kind != "prismatic"
+            "zero",
+            joint.name,
+            f"the zero of {model.robot.with_limb(joint.name)}",
+            along([zero_of(joint)]),
+            SIZES,
+            joint.kind != "prismatic",
         )
         for joint in model.robot.joints
     ]
@@ -123,7 +128,8 @@ def _effects(wide: SolvedModel) -> Iterator[Suspect]:
         if size > 0.0:
             directions = np.zeros((len(wide.theta), 1 if smooth else len(own)))
             directions[own] = values[:, None] if smooth else size * np.eye(len(own))
-            yield Suspect("effect", where, effect_in_words(where, of), directions, RATIOS)
+            words = effect_in_words(wide.model.robot.with_limb(where), of)
+            yield Suspect("effect", where, words, directions, RATIOS)
 
 
 def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[str, ...], bool], list[int]]:

@@ -12,7 +12,7 @@ from aridcal.model.model import Rows
 from aridcal.planning.beforehand import bodies
 from aridcal.planning.clearance import clear
 from aridcal.result.saved_model import SavedModel
-from aridcal.robot.kinematics import joint_frames
+from aridcal.robot.kinematics import joint_frames, tip_frames
 from aridcal.upkeep.evidence import Question, covariance_of, likely
 from aridcal.upkeep.new_rows import LEAST
 from aridcal.upkeep.suspects import Suspect
@@ -107,8 +107,8 @@ def _clear(saved: SavedModel) -> np.ndarray:
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
     readings = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
     boxes = (saved.campaign.design.keep_out or ()) if saved.campaign is not None else ()
-    _, places = joint_frames(robot, readings)
-    good = clear(robot, boxes, bodies(boxes, robot), readings, places[:, -1])
+    places = tip_frames(robot, readings)[1] if robot.others else joint_frames(robot, readings)[1][:, -1]
+    good = clear(robot, boxes, bodies(boxes, robot), readings, places)
     return readings[good] if good.any() else readings
 
 

@@ -1,0 +1,166 @@
+"""Plans for robots of several limbs: what they tell, what they keep out of, and what is refused."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import two_arms
+from test_trees import readings
+
+import aridcal
+import aridcal.design
+
+ROBOT = two_arms.machine()
+NOMINAL = pin.buildModelFromXML(two_arms.urdf().decode())
+ARMS = {side: [f"{side}_j{k}" for k in range(1, 7)] for side in ("left", "right")}
+SMALL = 1e-6
+
+
+def planned(folder: Path, n: int, bare: bool = False, urdf: bytes = b"", **more: object) -> pd.DataFrame:
+    """A plan of n configurations for a tracker that sees both hands; with a few rows measured before, or none."""
+    path = two_arms.write(folder, ROBOT, ("tracker",), readings(ROBOT, 24), **more)
+    if bare:
+        (folder / "tracker.csv").unlink()
+    if urdf:
+        (folder / "two_arms.urdf").write_bytes(urdf)
+    assert aridcal.design.main([str(path), "-n", str(n), "-o", str(folder / "plan.csv")]) == 0
+    return pd.read_csv(folder / "plan.csv")
+
+
+def placed(q: pd.DataFrame, model: pin.Model) -> list[tuple[pin.Data, dict[str, pin.SE3]]]:
+    """Where all links are in each row."""
+    found = []
+    for _, row in q.iterrows():
+        data = model.createData()
+        at = np.array([row.get(name, 0.0) for name in list(model.names)[1:]])
+        pin.framesForwardKinematics(model, data, at)
+        found.append((data, {frame.name: data.oMf[k] for k, frame in enumerate(model.frames)}))
+    return found
+
+
+def columns(q: pd.DataFrame, side: str) -> np.ndarray:
+    """Pinocchio's differences of a hand's target by the origins of its arm's joints, the base and the target, (n, 6, 48)."""
+    own = two_arms.LEFT if side == "left" else two_arms.RIGHT
+    joints = ARMS[side]
+
+    def poses(change: dict[str, np.ndarray]) -> list[pin.SE3]:
+        model = NOMINAL.copy()
+        for name in joints:
+            k = model.getJointId(name)
+            model.jointPlacements[k] = model.jointPlacements[k] * pin.exp6(change.get(name, np.zeros(6)))
+        base, target = (pin.exp6(change.get(name, np.zeros(6))) for name in ("base", "target"))
+        hung = pin.SE3(np.eye(3), own) * target
+        return [base * at[f"{side}_hand"] * hung for _, at in placed(q, model)]
+
+    now, found = poses({}), []
+    for name in ("base", *joints, "target"):
+        for unit in SMALL * np.eye(6):
+            then = poses({name: unit})
+            found.append(
+                [
+                    np.concatenate([b.translation - a.translation, pin.log3(b.rotation @ a.rotation.T)]) / SMALL
+                    for a, b in zip(now, then, strict=True)
+                ]
+            )
+    return np.moveaxis(np.array(found), 0, 2)
+
+
+def sigma(rows: pd.DataFrame, held_out: pd.DataFrame) -> float:
+    """RMS 1-sigma of both hands in held-out postures, in units of the noise, each calibrated from its own rows."""
+    squares = []
+    for side in ARMS:
+        J = columns(rows[rows["target"] == side], side).reshape(-1, 48)
+        there = columns(held_out, side)[:, :3]
+        covariance = np.linalg.pinv(J.T @ J, rcond=1e-9, hermitian=True)
+        squares.append(np.einsum("nij,jk,nik->n", there, covariance, there))
+    return float(np.sqrt(np.mean(squares)))
+
+
+def test_designed_postures_beat_random_ones_on_held_out_postures_of_both_hands(tmp_path: Path) -> None:
+    n = 24
+    plan = planned(tmp_path, n, bare=True, diagnosis={"enabled": False})
+    assert set(plan["target"]) == {"left", "right"}
+    assert set(ROBOT.joints) - {"pan", "nod"} <= set(plan)
+    rng = np.random.default_rng(4)
+    held_out = pd.DataFrame(rng.uniform(-1.3, 1.3, (60, len(ROBOT.joints))), columns=ROBOT.joints)
+    random = []
+    for _ in range(8):
+        rows = pd.DataFrame(rng.uniform(-1.44, 1.44, (n, len(ROBOT.joints))), columns=ROBOT.joints)
+        random.append(sigma(rows.assign(target=np.where(np.arange(n) % 2, "left", "right")), held_out))
+    assert sigma(plan, held_out) < 0.9 * min(random)
+
+
+def test_rows_are_added_to_those_of_both_hands_that_are_there(tmp_path: Path) -> None:
+    """The arm of which fewer rows are there gets more."""
+    path = two_arms.write(tmp_path, ROBOT, ("tracker",), readings(ROBOT, 60))
+    table = pd.read_csv(tmp_path / "tracker.csv")
+    few = pd.concat([table[table["target"] == "left"], table[table["target"] == "right"][:8]])
+    few.to_csv(tmp_path / "tracker.csv", index=False)
+    assert aridcal.design.main([str(path), "-n", "10", "-o", str(tmp_path / "plan.csv")]) == 0
+    assert (pd.read_csv(tmp_path / "plan.csv")["target"] == "right").sum() >= 7
+
+
+def test_limbs_keep_out_of_each_other_and_of_boxes(tmp_path: Path) -> None:
+    ball = b'<collision><geometry><sphere radius="0.25"/></geometry></collision>'
+    shaped = two_arms.urdf()
+    for side in (b"left", b"right"):
+        shaped = shaped.replace(b'<link name="%s_hand">' % side, b'<link name="%s_hand">' % side + ball)
+    box = {"min": [0.3, -0.3, -0.2], "max": [0.9, 0.3, 0.2]}
+    plan = planned(tmp_path, 20, bare=True, urdf=shaped, design={"keep_out": [box]}, diagnosis={"enabled": False})
+    inside = 0
+    for _, at in placed(plan, NOMINAL):
+        left, right = (at[f"{side}_hand"].translation for side in ARMS)
+        assert np.linalg.norm(left - right) > 0.5
+        for side in ARMS:
+            links = [at[f"{side}_{k}"].translation for k in range(1, 7)] + [at[f"{side}_hand"].translation]
+            for a, b in pairwise(links):
+                way = a + np.linspace(0, 1, 50)[:, None] * (b - a)
+                inside += int(((way > np.array(box["min"])) & (way < np.array(box["max"]))).all(axis=1).sum())
+    assert inside == 0
+    # chance would have both
+    drawn = pd.DataFrame(np.random.default_rng(0).uniform(-1.4, 1.4, (200, 14)), columns=ROBOT.joints)
+    near = [
+        np.linalg.norm(at["left_hand"].translation - at["right_hand"].translation) < 0.5
+        for _, at in placed(drawn, NOMINAL)
+    ]
+    assert np.mean(near) > 0.1
+
+
+def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tmp_path: Path) -> None:
+    path = two_arms.write(tmp_path, ROBOT, ("ballbar",), readings(ROBOT, 120))
+    assert aridcal.design.main([str(path), "-n", "12", "-o", str(tmp_path / "plan.csv")]) == 0
+    plan = pd.read_csv(tmp_path / "plan.csv")
+    assert set(plan["anchor"]) == {"ball"} and set(ARMS["left"] + ARMS["right"]) <= set(plan)
+    q = plan.reindex(columns=ROBOT.joints, fill_value=0.0).to_numpy()
+    plan["distance"] = two_arms.ballbar(ROBOT, q, np.random.default_rng(2))[0]["distance"]
+    found = [aridcal.calibrate(path)]
+    together = pd.concat([pd.read_csv(tmp_path / "ballbar.csv").assign(anchor="ball"), plan])
+    together.drop(columns=["pan", "nod"]).to_csv(tmp_path / "ballbar.csv", index=False)
+    found.append(aridcal.calibrate(path))
+    before, after = (sum(each.result["n"][part] for part in ("train", "test")) for each in found)
+    assert after == before + 12
+
+
+@pytest.mark.parametrize(
+    ("way", "out", "why"),
+    [
+        ("camera", "plan.csv", "what an image shows of several limbs (`kind: pixels`) is not planned"),
+        (
+            "tracker",
+            "plan.script",
+            "a controller's program moves one arm, and this plan several limbs (left_hand, right_hand)",
+        ),
+    ],
+)
+def test_what_is_not_planned_is_refused(
+    way: str, out: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = two_arms.write(tmp_path, ROBOT, (way,), readings(ROBOT, 24))
+    assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / out)]) == 2
+    assert why in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / out).exists()
