@@ -198,7 +198,7 @@ class Model:
         table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
         if any(map(is_sight, wanted)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
-            table |= self._sights(readings, gravity, tip, route)
+            table |= self.sights(readings, gravity, tip, route)
         phi = np.empty((len(varying), n)).T
         for k, c in enumerate(varying):
             phi[:, k] = evaluate(c.basis, table)
@@ -206,7 +206,7 @@ class Model:
                 phi[:, k] *= _labels(at_tip if c.where == "tip_target" else station, n) == c.station
         return Rows(self.robot.positions(readings), phi, world, tip, route)
 
-    def _sights(
+    def sights(
         self, readings: np.ndarray, gravity: np.ndarray, tip: np.ndarray, route: np.ndarray | None
     ) -> dict[str, np.ndarray]:
         """Covariates of places, shape (N,) each: where each row's own path starts, of the target at its end."""
