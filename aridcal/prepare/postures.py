@@ -214,6 +214,8 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
 def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Readings from which each image shows enough, shape (K, columns), and what it shows, shape (K, markers) bool.
 
+    Of several boards each is in turn what an image must show; others may come into it.
+
     Args:
         seen: Cameras and markers as they are.
         cameras: Number of the camera of each image, shape (K,).
@@ -227,19 +229,22 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
     readings = np.empty((len(cameras), draw(1).shape[1]))
     shown = np.zeros((len(cameras), len(seen.real["marker"].names)), dtype=bool)
     for c in np.unique(cameras).tolist():
-        todo = np.flatnonzero(cameras == c)
-        for _ in range(DRAWS):
-            q = draw(POOL)
-            markers = seen.shown(c, tips, q)
-            good = np.flatnonzero(markers.any(axis=1))[: len(todo)]
-            readings[todo[: len(good)]] = q[good]
-            shown[todo[: len(good)]] = markers[good]
-            todo = todo[len(good) :]
-            if not len(todo):
-                break
-        else:
-            raise CampaignError(
-                f"{place}: the camera {seen.real['camera'].names[c]} sees the markers from hardly any posture of the arm: move "
-                "camera or markers under `truth.instruments`"
-            )
+        boards = seen.boards[c]
+        for turn, board in enumerate(boards):
+            todo, own = np.flatnonzero(cameras == c)[turn :: len(boards)], seen.markers[board]
+            for _ in range(DRAWS):
+                if not len(todo):
+                    break
+                q = draw(POOL)
+                markers = seen.shown(c, tips, q)
+                good = np.flatnonzero(markers[:, own].any(axis=1))[: len(todo)]
+                readings[todo[: len(good)]] = q[good]
+                shown[todo[: len(good)]] = markers[good]
+                todo = todo[len(good) :]
+            if len(todo):
+                raise CampaignError(
+                    f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
+                    f"{seen.real['board'].names[board].removeprefix(BOARD)} from hardly any posture of the robot: move camera "
+                    "or markers under `truth.instruments`"
+                )
     return readings, shown
