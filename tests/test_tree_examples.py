@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import runpy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +13,19 @@ import pinocchio as pin
 import pytest
 
 import aridcal
+from aridcal.effects.effect import Coefficient
+from aridcal.fit.constants import urdf_of
+from aridcal.fit.problem import problem
+from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.inputs.read import load_measurements
+from aridcal.model.model import Model
 from aridcal.robot.chain import parse_robot
 from aridcal.robot.splice import splice_origins, written_origins
 from aridcal.simulate import main as simulate
 
 ROOT = Path(__file__).parent.parent
 TWO_ARMS = ROOT / "identification" / "two-arms"
+HEAD = ROOT / "identification" / "humanoid-head"
 COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -93,3 +102,74 @@ def test_the_hands_are_where_pinocchio_has_them_in_postures_that_nobody_measured
     apart, true, before = (np.linalg.norm(np.diff(p, axis=0), axis=1) for p in (predicted, expected, untouched))
     after, nominal_off = (np.sqrt(np.mean((each - true) ** 2)) for each in (apart, before))
     assert after < 2.5e-4 < 1e-3 < nominal_off
+
+
+@pytest.fixture(scope="module")
+def talos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The campaign of TALOS's head, as its README makes it."""
+    folder = tmp_path_factory.mktemp("talos")
+    assert runpy.run_path(str(HEAD / "make.py"))["make"](folder) == folder / "scenario.yaml"
+    assert simulate([str(folder / "scenario.yaml"), "-o", str(folder)]) == 0
+    return folder
+
+
+def test_marks_of_several_limbs_in_one_image_take_their_own_paths(talos: Path) -> None:
+    """Rows of one image stand one after the other with the same readings: asked for once, but once for each path."""
+    table = pd.read_csv(talos / "measurements.csv")
+    boards = table["marker"].str.partition("_")[0].groupby(table["shot"]).nunique()
+    assert (boards > 1).any()
+    campaign = load_campaign(talos / "campaign.yaml")
+    robot = nominal_robot(campaign)
+    rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot)
+    states = {name: np.nan_to_num(things.start) for name, things in rows.instruments.things.items()}
+    wall = rows.instruments.things["board"].names.index("board_on_world")
+    states["board"][wall] = [0.7, 0.0, 0.9, *np.eye(3).ravel()]
+    model = Model(robot, (Coefficient("head_1_joint", "pitch"),), tip_target=(("tip", pin.SE3.Identity()),),
+                  instruments=rows.instruments, routes=rows.routes, states=states)  # fmt: skip
+    asked = problem(model, replace(rows, target=np.full(len(rows), "tip")))
+    np.testing.assert_allclose(asked.linearised(np.zeros(1))[0], asked.residual(np.zeros(1)), atol=1e-9)
+
+
+def test_the_head_sees_its_hands_where_pinocchio_has_them(talos: Path) -> None:
+    """One hand seen from the other, in postures that nobody measured: by the URDF as it was built, and as it was calibrated."""
+    found = aridcal.calibrate(talos / "campaign.yaml")
+    assert found.result["verdict"] == "noise_floor" and found.effects.empty
+    assert 0.3 < found.errors.loc["final"].loc["test"]["pixel_rms_px"] < 0.38  # as the page has it
+    truth = json.loads((talos / "truth.json").read_text())
+    nominal = nominal_robot(load_campaign(talos / "campaign.yaml"))
+    hands = ("gripper_left_base_link", "gripper_right_base_link")
+    real = true_model(nominal.urdf, truth["parameters"], "base_link", (*hands, "rgbd_rgb_optical_frame"))
+    q = (
+        pd.read_csv(talos / "measurements.csv")
+        .drop_duplicates("shot")[list(nominal.readings)]
+        .sample(60, random_state=1)
+    )
+
+    def frame(place: dict) -> pin.SE3:
+        return pin.SE3(pin.rpy.rpyToMatrix(np.array(place["rpy"])), np.array(place["xyz"]))
+
+    def told(board: dict) -> pin.SE3:
+        value = {name: each["value"] for name, each in board.items()}
+        return frame({"xyz": [value[c] for c in COMPONENTS[:3]], "rpy": [value[c] for c in COMPONENTS[3:]]})
+
+    def apart(model: pin.Model, tags: dict[str, pin.SE3]) -> np.ndarray:
+        """How far the tags on one hand are from those on the other."""
+        data, found = model.createData(), []
+        for _, row in q.iterrows():
+            at = pin.neutral(model)
+            for name, value in row.items():
+                at[model.joints[model.getJointId(name)].idx_q] = value
+            pin.framesForwardKinematics(model, data, at)
+            left, right = (data.oMf[model.getFrameId(hand)] * tags[f"board_on_{hand}"] for hand in hands)
+            found.append(np.linalg.norm(left.translation - right.translation))
+        return np.array(found)
+
+    stated = {name: frame(place) for name, place in truth["instruments"]["board"].items()}
+    true = apart(real, stated)
+    geometric = found.model.geometric
+    calibrated = pin.buildModelFromXML(urdf_of(geometric.model, geometric.theta).decode())
+    after = (
+        apart(calibrated, {name: told(board) for name, board in found.result["instruments"]["boards"].items()}) - true
+    )
+    before = apart(nominal.tree, stated) - true
+    assert np.sqrt(np.mean(after**2)) < 5e-4 < 2e-3 < np.sqrt(np.mean(before**2))
