@@ -278,7 +278,8 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
 
 def _each_once(ask: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows) -> tuple[np.ndarray, ...]:
     """What a model says of rows, one of several that follow one another alike asked for all: the marks in one image."""
-    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip])
+    route = np.zeros(len(rows)) if rows.route is None else rows.route  # one image may show marks of several limbs
+    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip, route])
     new = np.ones(len(rows), dtype=bool)
     new[1:] = np.any(told[1:] != told[:-1], axis=1)
     if new.all():

@@ -281,6 +281,11 @@ class InstrumentSettings(Section):
         other = next(iter(self.sides.values()), WORLD)
         return {board.on or other: board for board in self.markers if board.file is not None}
 
+    def looked_at(self, camera: str) -> tuple[Carrier, ...]:
+        """What carries the markers that a camera looks at: all boards but one on what carries the camera, or what has none."""
+        own = self.cameras[camera].on
+        return tuple(carrier for carrier in self.boards if carrier != own) or (self.sides[camera],)
+
     def targets_on(self, tip: str) -> dict[str, str]:
         """Links other than the robot's tip that carry targets, by the targets' labels."""
         return {name: target.on for name, target in self.targets.items() if target.on not in (TIP, tip)}

@@ -1,11 +1,11 @@
-"""Campaigns of other kinds than poses: a simulated arm among the things that it is measured with."""
+"""Campaigns of other kinds than poses, and of several limbs: a simulated robot among the things that it is measured with."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -14,25 +14,28 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.effects.loads import Surroundings
-from aridcal.effects.sights import sights_from, target_places
+from aridcal.effects.sights import Sights, sights_from
 from aridcal.errors import CampaignError
+from aridcal.inputs.instrument_settings import WORLD, TargetSettings
 from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.orientations import POSITION, QUATERNION
 from aridcal.inputs.read import ONE_TARGET, TIP
-from aridcal.inputs.things import known_of
+from aridcal.inputs.routes import routes_of
+from aridcal.inputs.things import Known, known_of
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.channels import columns as parts_of
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
+from aridcal.model.model import Rows as ModelRows
 from aridcal.model.reaching import Miss, Pose, brought, draw_readings, settled
-from aridcal.prepare.postures import Sight, draw_images, sight
-from aridcal.prepare.scenario import Scenario
+from aridcal.prepare.postures import Sight, Tips, draw_images, sight
+from aridcal.prepare.scenario import Scenario, TrueFrame
 from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
-from aridcal.prepare.true_things import Real, true_anchors, true_planes, true_points
+from aridcal.prepare.true_things import AROUND, Around, Real, true_anchors, true_planes, true_points
 from aridcal.reading.table_files import FIRST_LINE
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Robot, Route
 
 REACHED, WELL = 1000, (0.25, 0.75)
 """Postures drawn to see where the arm reaches, and quantiles of their distance from the base between which places are reached in
@@ -53,6 +56,8 @@ class Rows:
         refers: Numbers of the things that rows refer to, by the kind's roles, shape (n, roles).
         target: Label of each row's target, shape (n,).
         stroke: What a gauge is to read, shape (n,), [m]; 0 where the target touches.
+        routes: The paths that they take.
+        route: Number of each row's path, shape (n,); None where all take one.
         changes: How the things that the rows refer to are otherwise than their states, (n, u) by role; None: in nothing.
     """
 
@@ -62,6 +67,8 @@ class Rows:
     refers: np.ndarray
     target: np.ndarray
     stroke: np.ndarray
+    routes: tuple[Route, ...] = (Route(),)
+    route: np.ndarray | None = None
     changes: tuple[np.ndarray, ...] | None = None
 
     def states(self, real: Mapping[str, Real]) -> list[np.ndarray]:
@@ -71,6 +78,43 @@ class Rows:
         if self.changes is None:
             return states
         return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
+
+    def along(self, known: Known, real: Mapping[str, Real], tip: str) -> Rows:
+        """The same rows with the paths that they take.
+
+        Args:
+            known: What carries the things.
+            real: Their names.
+            tip: The robot's.
+        """
+        refers = [self.labels(role.name, real) for role in self.kind.roles]
+        labels = np.column_stack(refers) if refers else np.zeros((len(self.shot), 0), dtype=str)
+        every = routes_of(known, self.kind.name, labels, self.target, tip)
+        routes = tuple(dict.fromkeys(every))
+        number = {route: k for k, route in enumerate(routes)}
+        return replace(self, routes=routes, route=np.array([number[r] for r in every]) if len(routes) > 1 else None)
+
+    def chains(self, model: Model) -> Model:
+        """A model of the robot whose rows take the paths of these."""
+        return replace(model, routes=self.routes)
+
+    def seen_by(
+        self,
+        chains: Model,
+        readings: np.ndarray,
+        columns: Mapping[str, np.ndarray] | None = None,
+        some: slice | np.ndarray = slice(None),
+    ) -> ModelRows:
+        """Some of these rows as a model of their paths sees them.
+
+        Args:
+            chains: The model.
+            readings: Of the rows, shape (n, columns).
+            columns: What effects depend on, each of shape (n,).
+            some: Which rows these are.
+        """
+        route = None if self.route is None else self.route[some]
+        return chains.rows(readings, columns, target=self.target[some], route=route)
 
     def labels(self, role: str, real: Mapping[str, Real]) -> np.ndarray:
         """Names of the things of a role that the rows refer to, empty where they have no such role, shape (n,)."""
@@ -135,19 +179,24 @@ class Measured:
 def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
     """True T_tip_target by label, as the reader of the campaign calls them."""
     stated = scenario.truth.frames.targets
-    placed = {name: pin.SE3(pin.rpy.rpyToMatrix(*each.rpy), np.array(each.xyz)) for name, each in stated.items()}
+    every: dict[str, TargetSettings | TrueFrame] = {**scenario.instruments.targets, **stated}
+    placed = {name: pin.SE3(pin.rpy.rpyToMatrix(*each.rpy), np.array(each.xyz)) for name, each in every.items()}
     names = [label for block in scenario.blocks for label in _own(scenario, block)]
     return {name: placed.get(name, pin.SE3.Identity() if name == TIP else tip) for name in dict.fromkeys(names)}
 
 
 def _own(scenario: Scenario, block: MeasurementSettings) -> list[str]:
-    """Labels of the targets that a block's rows measure."""
-    sensors = [other.title for other in scenario.blocks if other.kind == "inclination"]
+    """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
+    taken = [other.title for other in scenario.blocks if other.kind == "inclination"]
+    taken += [other.target for other in scenario.blocks if other.target is not None]
     if block.kind == "pixels":
         return [TIP]
+    if block.target is not None:
+        return [block.target]
     if block.kind == "inclination":
         return [block.title]
-    return [name for name in scenario.truth.frames.targets if name not in sensors] or [ONE_TARGET]
+    every = dict.fromkeys((*scenario.instruments.targets, *scenario.truth.frames.targets))
+    return [name for name in every if name not in taken] or [ONE_TARGET]
 
 
 def measured(
@@ -166,22 +215,14 @@ def measured(
     """
     configurations, noise, outliers, chance, of_things = streams
     truth, robot = scenario.truth, machine.robot
-    bare, theta = machine.model()
     own = configurations.spawn(len(scenario.blocks) + 1)
-
-    def tips(readings: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray]:
-        return bare.poses(theta, bare.rows(readings, target=np.full(len(readings), label)))
-
-    any_target = next((name for name in machine.tips if name != TIP), TIP)
-    _, reached = tips(draw_readings(robot, REACHED, own[-1]), any_target)
-    off = np.linalg.norm(reached - machine.world.translation, axis=1)
-    reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
     known, things = known_of(scenario), truth.instruments
-    of_role = dict(zip(("point", "anchor", "plane", "pixels"), of_things.spawn(4), strict=True))
+    of_role = dict(zip(("point", "anchor", "plane", "pixels", "link"), of_things.spawn(5), strict=True))
+    around_things = _around_things(scenario, machine, own[-1], of_role["link"])
     drawn = {
-        "point": lambda: {"point": true_points(things, known, reached, of_role["point"])},
-        "distance": lambda: {"anchor": true_anchors(things, known, reached, of_role["anchor"])},
-        "plane": lambda: {"plane": true_planes(things, known, reached, of_role["plane"])},
+        "point": lambda: {"point": true_points(things, known, around_things, of_role["point"])},
+        "distance": lambda: {"anchor": true_anchors(things, known, around_things, of_role["anchor"])},
+        "plane": lambda: {"plane": true_planes(things, known, around_things, of_role["plane"])},
     }
     trackers = tuple(block.title for block in scenario.blocks if block.kind in OF_TARGETS)
     faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
@@ -191,24 +232,53 @@ def measured(
     seen: Sight | None = None
     if any(block.kind == "pixels" for block in scenario.blocks):
         rng = of_role["pixels"]
-        seen = sight(things, known, lambda q: tips(q, TIP), lambda n: draw_readings(robot, n, rng), rng)
+        seen = sight(things, known, _tips(known, machine), lambda n: draw_readings(robot, n, rng), rng)
         real |= seen.real
     every = real | faultless
-    rows = [_begun(scenario, number, machine, every, seen, own[number]) for number in range(len(scenario.blocks))]
+    rows = [
+        _begun(scenario, number, machine, known, every, seen, own[number]) for number in range(len(scenario.blocks))
+    ]
     errors, wrong = zip(*[_errors(scenario, each, noise, outliers) for each in rows], strict=True)
-    rows, causes, model, true, columns = _with_effects(scenario, machine, rows, every, errors, around, chance)
+    rows, causes, model, true, columns = _with_effects(scenario, machine, known, rows, every, errors, around, chance)
     tables = []
     for number, (block, each) in enumerate(zip(scenario.blocks, rows, strict=True)):
-        R, p = model.poses(true, model.rows(each.readings, columns[number], target=each.target))
+        chains = each.chains(model)
+        R, p = chains.poses(true, each.seen_by(chains, each.readings, columns[number]))
         read = _read(each, R, p, every, errors[number])
         tables.append(_table(scenario, number, block, robot, each, every, read, columns[number]))
     return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
+
+
+def _around_things(
+    scenario: Scenario, machine: Machine, configurations: np.random.Generator, of_links: np.random.Generator
+) -> Around:
+    """Where things are drawn: in the world where the robot reaches, on a link around its frame."""
+    label = next((name for name in machine.tips if name != TIP), TIP)
+    target = scenario.instruments.targets.get(label)
+    end = None if target is None or target.on in (TIP, machine.robot.tip) else target.on
+    _, reached = machine.along(Route(None, end), label)(draw_readings(machine.robot, REACHED, configurations))
+    off = np.linalg.norm(reached - machine.world.translation, axis=1)
+    reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
+    near = of_links.uniform(-0.5, 0.5, (REACHED, 3)) * AROUND / 3
+    return lambda carrier: reached if carrier == WORLD else near
+
+
+def _tips(known: Known, machine: Machine) -> Tips:
+    """Where what carries a camera is from what carries a board, or that of the board from a camera in the world."""
+
+    @cache
+    def between(camera: str, board: str) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        (route,) = routes_of(known, "pixels", np.array([[camera, board, ""]]), None, machine.robot.tip)
+        return machine.along(route, TIP)
+
+    return lambda readings, camera, board: between(camera, board)(readings)
 
 
 def _begun(
     scenario: Scenario,
     number: int,
     machine: Machine,
+    known: Known,
     real: Mapping[str, Real],
     seen: Sight | None,
     rng: np.random.Generator,
@@ -219,21 +289,20 @@ def _begun(
     kind, n = KINDS[block.kind], truth.n
     bare, theta = machine.model()
 
-    def pose(label: np.ndarray) -> Pose:
-        return lambda q, some: bare.poses(theta, bare.rows(q, target=label[some]))
+    def pose(of: Rows) -> Pose:
+        chains = of.chains(bare)
+        return lambda readings, some: chains.poses(theta, of.seen_by(chains, readings, some=some))
 
     if seen is not None and kind.name == "pixels":
         names = seen.real["camera"].names
         own = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
         camera = np.array(own)[np.arange(n) % len(own)]
-
-        def tips(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return bare.poses(theta, bare.rows(q, target=np.full(len(q), TIP)))
-
-        readings, shown = draw_images(seen, camera, tips, lambda m: draw_readings(machine.robot, m, rng), place)
+        draw = partial(draw_readings, machine.robot, rng=rng)
+        readings, shown = draw_images(seen, camera, _tips(known, machine), draw, place)
         shot, marker = np.nonzero(shown)
-        refers = np.column_stack([camera[shot], seen.board[camera[shot]], marker])
-        return Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
+        refers = np.column_stack([camera[shot], seen.board_of[marker], marker])
+        rows = Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
+        return rows.along(known, real, machine.robot.tip)
     labels = _own(scenario, block)
     shot = np.arange(n)
     count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
@@ -243,11 +312,12 @@ def _begun(
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
+    rows = rows.along(known, real, machine.robot.tip)
     miss = rows.miss(real, np.zeros((n, 1)))
     if miss is None:
         return replace(rows, readings=draw_readings(machine.robot, n, rng))
     advice = "move those under `truth.instruments`"
-    return replace(rows, readings=brought(machine.robot, pose(target), miss, n, rng, place, advice))
+    return replace(rows, readings=brought(machine.robot, pose(rows), miss, n, rng, place, advice))
 
 
 def _errors(
@@ -271,6 +341,7 @@ def _errors(
 def _with_effects(
     scenario: Scenario,
     machine: Machine,
+    known: Known,
     rows: list[Rows],
     real: Mapping[str, Real],
     errors: Sequence[np.ndarray],
@@ -302,29 +373,47 @@ def _with_effects(
         (role.name, name): role.components for each in rows for role in each.kind.roles for name in states[role.name]
     }
     names_of_things = {name for _, name in held}
+    linked = {name for role, own in real.items() for name in own.names if known.linked(role, name)}
     plane = np.concatenate([each.labels("plane", real) for each in rows])
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
     for _ in range(PASSES if touching and truth.effects else 1):
         readings = np.concatenate([each.readings for each in rows])
-        sights = sights_from(
-            machine.world, targets, states, partial(target_places, robot, readings, targets[tip]), plane
-        )
+        nominal, _ = machine.faults((), replace(around, sights=Sights(targets)))
+
+        def places(model: Model = nominal, blocks: list[Rows] = rows) -> np.ndarray:
+            found = []
+            for each in blocks:
+                chains = each.chains(model)
+                found.append(chains.target_places(each.seen_by(chains, each.readings), each.readings))
+            return np.concatenate(found)
+
+        sights = sights_from(machine.world, targets, states, places, plane, linked)
         around = replace(around, sights=sights)
         of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
         columns = {name: values[shot] for name, values in of_shots.items()}
         causes, depends = make_causes(
             truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
-            np.concatenate(lines).astype(float), tip, held,
+            np.concatenate(lines).astype(float), tip, held, _places_seen(replace(nominal, around=around), rows),
         )  # fmt: skip
         model, true = machine.model([cause for cause in causes if cause.effect.where not in names_of_things], around)
         faults, values = machine.faults([cause for cause in causes if cause.effect.where in names_of_things], around)
         parts = [{name: column[low:high] for name, column in depends.items()} for low, high in pairwise(ends)]
         phis = [
-            faults.rows(each.readings, part, target=each.target).phi for each, part in zip(rows, parts, strict=True)
+            each.seen_by(each.chains(faults), each.readings, part).phi for each, part in zip(rows, parts, strict=True)
         ]
         rows = [each.faulty(real, faults, values, phi) for each, phi in zip(rows, phis, strict=True)]
         rows = [_settled(each, model, true, part, real, e) for each, part, e in zip(rows, parts, errors, strict=True)]
     return rows, causes, model, true, parts
+
+
+def _places_seen(model: Model, rows: Sequence[Rows]) -> dict[str, np.ndarray]:
+    """Covariates of places of all rows, each along its own path."""
+    gravity, tables = np.atleast_2d(model.around.gravity)[0], []
+    for each in rows:
+        chains = each.chains(model)
+        there = each.seen_by(chains, each.readings)
+        tables.append(chains.sight_columns(each.readings, gravity, there.tip, there.route))
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
 def _settled(
@@ -340,9 +429,11 @@ def _settled(
     if miss is None:
         return rows
 
+    chains = rows.chains(model)
+
     def pose(readings: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         now = {name: values[some] for name, values in columns.items()}
-        return model.poses(true, model.rows(readings, now, target=rows.target[some]))
+        return chains.poses(true, rows.seen_by(chains, readings, now, some))
 
     readings = settled(pose, miss, rows.readings, NEWTON)
     return replace(rows, readings=readings)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.errors import CampaignError
-from aridcal.inputs.instrument_settings import Carrier
+from aridcal.inputs.instrument_settings import WORLD, Carrier
 from aridcal.inputs.things import BOARD, Known
 from aridcal.instruments.pixels import PIXELS as KIND
 from aridcal.instruments.pixels import faces, in_image
@@ -24,7 +24,7 @@ from aridcal.prepare.true_things import (
 )
 
 FEWEST = 4
-"""Markers of a usable image, or all if there are fewer."""
+"""Markers of a board in a usable image, or all if there are fewer."""
 
 POOL, DRAWS = 1000, 200
 """Postures that are drawn at once, and how often for one camera."""
@@ -35,8 +35,9 @@ PLACES, TRIED = 15, 400
 AT_ONCE = 100_000
 """Markers in images that are looked at in one go."""
 
-Tips = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Readings, shape (n, columns), to poses of the tip in the world, (n, 3, 3) and (n, 3)."""
+Tips = Callable[[np.ndarray, str, str], tuple[np.ndarray, np.ndarray]]
+"""Readings, shape (n, columns), a camera and a board, by name, to poses of what carries the camera in the axes of what carries
+the board, (n, 3, 3) and (n, 3); of what carries the board in the world, if that carries the camera."""
 
 Draw = Callable[[int], np.ndarray]
 """So many readings drawn at random."""
@@ -48,40 +49,56 @@ class Sight:
 
     Attributes:
         real: By role.
-        board: Number of each camera's board, shape (C,).
+        boards: Numbers of the boards that each camera looks at.
         markers: Numbers of the markers of each board.
         printed: Boards whose markers are seen from the front alone.
         size: Width and height of each camera's images, shape (C, 2), [px].
     """
 
     real: dict[str, Real]
-    board: np.ndarray
+    boards: tuple[tuple[int, ...], ...]
     markers: tuple[np.ndarray, ...]
     printed: tuple[bool, ...]
     size: np.ndarray
 
-    def seen(self, camera: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Which markers of its board a camera sees from poses of the tip, shape (n, M) bool."""
-        own = self.markers[self.board[camera]]
-        made = [self._seen(camera, R[k : k + step], p[k : k + step])
-                for step in [max(1, AT_ONCE // len(own))] for k in range(0, len(R), step)]  # fmt: skip
+    @property
+    def board_of(self) -> np.ndarray:
+        """Number of each marker's board, shape (markers,)."""
+        return np.repeat(np.arange(len(self.markers)), [len(own) for own in self.markers])
+
+    def shown(self, camera: int, tips: Tips, readings: np.ndarray) -> np.ndarray:
+        """Which markers a camera sees in some postures, shape (n, markers) bool: those of boards of which it sees enough."""
+        found = np.zeros((len(readings), len(self.real["marker"].names)), dtype=bool)
+        for board in self.boards[camera]:
+            seen = self.seen(camera, board, *self.poses(camera, board, tips, readings))
+            enough = seen.sum(axis=1) >= min(FEWEST, seen.shape[1])
+            found[:, self.markers[board]] = seen & enough[:, None]
+        return found
+
+    def poses(self, camera: int, board: int, tips: Tips, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of what carries a camera, or its board, by their numbers."""
+        return tips(readings, self.real["camera"].names[camera], self.real["board"].names[board])
+
+    def seen(self, camera: int, board: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """Which markers of a board a camera sees from poses, see :data:`Tips`, shape (n, M) bool."""
+        step = max(1, AT_ONCE // len(self.markers[board]))
+        made = [self._seen(camera, board, R[k : k + step], p[k : k + step]) for k in range(0, len(R), step)]
         return np.concatenate(made)
 
-    def _seen(self, camera: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
-        board = int(self.board[camera])
+    def _seen(self, camera: int, board: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
         own, n = self.markers[board], len(R)
         m, each = len(own), np.repeat(np.arange(n), len(own))
-        states = self.states(np.full(n * m, camera), np.tile(own, n))
+        states = self.states(np.full(n * m, camera), board, np.tile(own, n))
         seen = in_image(R[each], p[each], states, self.size[camera]).reshape(n, m)
         if self.printed[board]:
-            cameras, boards, _ = self.states(np.full(n, camera), np.zeros(n, int))
+            cameras, boards, _ = self.states(np.full(n, camera), board, np.zeros(n, int))
             seen &= faces(R, p, cameras, boards)[:, None]
         return seen
 
-    def states(self, camera: np.ndarray, marker: np.ndarray) -> list[np.ndarray]:
-        """States of cameras, their boards and markers, by their numbers."""
-        boards = self.board[camera]
-        return [self.real[role.name].states[k] for role, k in zip(KIND.roles, (camera, boards, marker), strict=True)]
+    def states(self, camera: np.ndarray, board: int, marker: np.ndarray) -> list[np.ndarray]:
+        """States of cameras, their board and markers, by their numbers."""
+        numbers = (camera, np.full(len(camera), board), marker)
+        return [self.real[role.name].states[k] for role, k in zip(KIND.roles, numbers, strict=True)]
 
 
 def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
@@ -92,7 +109,7 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
     Args:
         things: What the scenario says.
         known: What the campaign knows.
-        tips: Where the tip is.
+        tips: Where cameras and boards are from each other.
         draw: Draws postures.
         rng: Draws places.
 
@@ -101,7 +118,8 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
     """
     settings = known.settings
     cameras = tuple(settings.cameras)
-    sides: list[Carrier] = list(dict.fromkeys(settings.sides[name] for name in cameras))
+    looked_at = {name: settings.looked_at(name) for name in cameras}
+    sides: list[Carrier] = list(dict.fromkeys(side for name in cameras for side in looked_at[name]))
     if len(sides) > 1 and isinstance(things.markers, dict):
         raise CampaignError(
             f"{known.origin}: truth.instruments.markers: there are cameras on the tip and beside the arm; write a number, "
@@ -130,16 +148,16 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
         else:
             word = "marker" if len(sides) == 1 else f"{side}_marker"
             labels = tuple(f"{word}_{k + 1}" for k in range(things.markers))
-            box = AROUND if side == "world" else AROUND / 3
+            box = AROUND if side == WORLD else AROUND / 3
             xyz, place = rng.uniform(-0.5, 0.5, (len(labels), 3)) * box, None
-        if side == "tip" and place is None:
+        if side != WORLD and place is None:
             place = np.eye(4)
         own.append(len(names) + np.arange(len(labels)))
         names += labels
         local.append(xyz)
         places.append(place)
         printed.append(board)
-    number = np.array([sides.index(settings.sides[name]) for name in cameras])
+    numbers = tuple(tuple(map(sides.index, looked_at[name])) for name in cameras)
     size = np.array([[settings.cameras[n].width, settings.cameras[n].height] for n in cameras], dtype=float)
 
     def made(cams: np.ndarray, placed: list[np.ndarray]) -> Sight:
@@ -153,13 +171,14 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
             "board": Real(tuple(BOARD + side for side in sides), rows),
             "marker": Real(tuple(names), np.concatenate(markers)),
         }
-        return Sight(real, number, tuple(own), tuple(printed), size)
+        return Sight(real, numbers, tuple(own), tuple(printed), size)
 
     for c, is_given in enumerate(given):
-        b, on_tip = int(number[c]), cams[c, 21] > 0.5
+        on_tip = cams[c, 21] > 0.5
+        b = next((k for k in numbers[c] if places[k] is None), numbers[c][0])
         if (on_tip and places[b] is not None) or (not on_tip and is_given):
             continue
-        R, p = tips(draw(PLACES))
+        R, p = tips(draw(PLACES), cameras[c], BOARD + sides[b])
         T = np.tile(np.eye(4), (PLACES, 1, 1))
         T[:, :3, :3], T[:, :3, 3] = R, p
         before, camera = np.eye(4), np.eye(4)
@@ -173,7 +192,7 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
         else:
             assert there is not None
             tried = T @ there @ middle @ before
-        looks = tips(draw(TRIED))
+        looks = tips(draw(TRIED), cameras[c], BOARD + sides[b])
         best, most = tried[0], -1
         for trial in tried:
             if on_tip:
@@ -182,7 +201,7 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
                 placed = [np.eye(4) if at is None else at for at in places]
                 now = cams.copy()
                 now[c, :12] = [*trial[:3, 3], *trial[:3, :3].reshape(-1)]
-            count = int(made(now, placed).seen(c, *looks).sum())
+            count = int(made(now, placed).seen(c, b, *looks).sum())
             if count > most:
                 best, most = trial, count
         if on_tip:
@@ -195,10 +214,12 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
 def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Readings from which each image shows enough, shape (K, columns), and what it shows, shape (K, markers) bool.
 
+    Of several boards each is in turn what an image must show; others may come into it.
+
     Args:
         seen: Cameras and markers as they are.
         cameras: Number of the camera of each image, shape (K,).
-        tips: Where the tip is.
+        tips: Where cameras and boards are from each other.
         draw: Draws postures.
         place: What to name if a camera sees nothing.
 
@@ -208,20 +229,22 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
     readings = np.empty((len(cameras), draw(1).shape[1]))
     shown = np.zeros((len(cameras), len(seen.real["marker"].names)), dtype=bool)
     for c in np.unique(cameras).tolist():
-        todo = np.flatnonzero(cameras == c)
-        own = seen.markers[seen.board[c]]
-        for _ in range(DRAWS):
-            q = draw(POOL)
-            markers = seen.seen(c, *tips(q))
-            good = np.flatnonzero(markers.sum(axis=1) >= min(FEWEST, len(own)))[: len(todo)]
-            readings[todo[: len(good)]] = q[good]
-            shown[np.ix_(todo[: len(good)], own)] = markers[good]
-            todo = todo[len(good) :]
-            if not len(todo):
-                break
-        else:
-            raise CampaignError(
-                f"{place}: the camera {seen.real['camera'].names[c]} sees the markers from hardly any posture of the arm: move "
-                "camera or markers under `truth.instruments`"
-            )
+        boards = seen.boards[c]
+        for turn, board in enumerate(boards):
+            todo, own = np.flatnonzero(cameras == c)[turn :: len(boards)], seen.markers[board]
+            for _ in range(DRAWS):
+                if not len(todo):
+                    break
+                q = draw(POOL)
+                markers = seen.shown(c, tips, q)
+                good = np.flatnonzero(markers[:, own].any(axis=1))[: len(todo)]
+                readings[todo[: len(good)]] = q[good]
+                shown[todo[: len(good)]] = markers[good]
+                todo = todo[len(good) :]
+            if len(todo):
+                raise CampaignError(
+                    f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
+                    f"{seen.real['board'].names[board].removeprefix(BOARD)} from hardly any posture of the robot: move camera "
+                    "or markers under `truth.instruments`"
+                )
     return readings, shown

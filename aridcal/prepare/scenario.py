@@ -82,7 +82,8 @@ class Scenario(Job):
     def refers(self) -> bool:
         """True where rows refer to things, or to one of several targets: not where they are poses of the only one."""
         plain = len(self.blocks) == 1 and self.measurements.kind in (*OF_TARGETS, "camera_sonar")
-        return not plain or bool(self.truth.frames.targets)
+        named = self.truth.frames.targets or self.instruments.targets or self.instruments.links
+        return not plain or bool(named)
 
 
 def _any_has(scenario: Scenario, key: str) -> bool:

@@ -49,7 +49,7 @@ class Simulation:
 
     Attributes:
         scenario: What was asked for.
-        robot: The nominal chain.
+        robot: The nominal chain, or several limbs.
         tables: Of each block, as they are written.
         parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
         frames: True T_world_base and T_tip_target, or that of each of several targets.
@@ -91,10 +91,6 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
     check_scenario(scenario)
     truth = scenario.truth
     robot = nominal_robot(scenario)
-    if robot.others:
-        raise CampaignError(
-            f"{scenario.path}: instruments: things on links of their own are measured, not simulated: write tip or world"
-        )
     constants, configurations, noise, outliers, chance, of_things = _streams(truth.seed)
     coefficients = named_constants(robot, truth.parameters, scenario.path)
     theta = np.array([p.value + p.std * constants.standard_normal() for p in truth.parameters.values()])
@@ -229,14 +225,14 @@ def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coe
 
     Args:
         robot: The chain.
-        names: A joint of the chain or the tip's fixed joint, a dot, and ``x y z roll pitch yaw`` or, of a moving
+        names: A joint of the robot or a limb's last fixed joint, a dot, and ``x y z roll pitch yaw`` or, of a moving
             joint's link, ``d theta beta a alpha``.
         path: The file to name if one of them does not exist.
 
     Raises:
         CampaignError: naming the constant and the nearest one that exists.
     """
-    joints = [*robot.names, *([robot.tip_joint] if robot.tip_joint else [])]
+    joints = [*robot.names, *dict.fromkeys(limb.tip_joint for limb in robot.limbs if limb.tip_joint)]
     of_origins = [Coefficient(joint, c) for joint in joints for c in FRAME_COMPONENTS]
     of_links = [Coefficient(link.joint, c) for link in links_down(robot) for c in link.components]
     by_name = {constant.name: constant for constant in (*of_origins, *of_links)}

@@ -24,7 +24,7 @@ from aridcal.inputs.campaign import EffectDeclaration
 from aridcal.inputs.yaml_file import LARGEST, Number, Section
 from aridcal.model.model import Model
 from aridcal.reading.table_files import FIRST_LINE
-from aridcal.robot.chain import Robot
+from aridcal.robot.chain import Robot, Route
 
 # From one row to the next, [s].
 PERIOD = 30.0
@@ -153,6 +153,12 @@ class Machine:
     world: pin.SE3
     tips: Mapping[str, pin.SE3]
 
+    def along(self, route: Route, label: str) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+        """Of readings, shape (n, columns), the poses of a target at the end of a path: (n, 3, 3) and (n, 3), [m]."""
+        bare, theta = self.model()
+        bare = replace(bare, routes=(route,))
+        return lambda readings: bare.poses(theta, bare.rows(readings, target=np.full(len(readings), label)))
+
     def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
         """The machine as a model, and its true coefficients."""
         faults, values = self.faults(causes, around or Surroundings())
@@ -220,6 +226,7 @@ def make_causes(
     lines: np.ndarray | None = None,
     tip: np.ndarray | None = None,
     held: Mapping[tuple[str, str], tuple[str, ...]] | None = None,
+    places: Mapping[str, np.ndarray] | None = None,
 ) -> tuple[list[Cause], dict[str, np.ndarray]]:
     """Turn effects into coefficients of the model.
 
@@ -234,6 +241,7 @@ def make_causes(
         lines: Of each row in its file, counted on through the files, shape (N,); None: rows of one file.
         tip: Number of each row's frame on the tip, shape (N,); None: there is one.
         held: Components of the things that rows refer to, by role and name.
+        places: Covariates of places, where rows take paths of their own; None: all take the chain.
 
     Returns:
         The causes, and all columns that they depend on: those given, the order of the rows, and the named functions' values.
@@ -246,7 +254,9 @@ def make_causes(
     known = {**columns, ROW_ORDER: order}
     table = covariate_table(robot, readings, known, around, world, set(LOADS))
     at_tip = world if tip is None else tip
-    table |= sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
+    if places is None:
+        places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
+    table |= places
     rows = Observed(robot, table, tuple(columns), held=held or {}, referred=dict.fromkeys(held or {}, len(readings)))
     causes = []
     for e in effects:

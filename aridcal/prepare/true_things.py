@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from aridcal.inputs.instrument_settings import Label, LengthSettings, Placement
+from aridcal.inputs.instrument_settings import WORLD, Label, LengthSettings, Placement
 from aridcal.inputs.things import Known
 from aridcal.inputs.yaml_file import Number, Positive, Section, Vector3
 from aridcal.instruments.camera import INTRINSICS
@@ -24,7 +24,7 @@ RANGE_OF_TIP, RANGE_OF_WORLD = 0.4, 0.9
 """[m] from a camera on the tip, and from one beside the arm, to the board before it that is drawn."""
 
 AROUND = np.array([0.4, 0.3, 0.1])
-"""[m] sides of the box that markers which lie about are drawn in; a third of that on the tip."""
+"""[m] sides of the box that markers which lie about are drawn in; a third of that around a link."""
 
 AWAY = (1.2, 1.8)
 """How far from the middle of the workspace anchors are drawn, in its RMS radius."""
@@ -37,6 +37,10 @@ OFFSETS = (0.0, 0.1)
 
 SCALES = 1e-3
 """1-sigma of a drawn scale that is to be identified."""
+
+
+Around = Callable[[str], np.ndarray]
+"""Places, shape (M, 3), [m], among which things are drawn, by what carries these: in its frame."""
 
 
 class TrueAnchor(Section):
@@ -97,13 +101,13 @@ def _labels(given: int | Mapping[str, object], known: Sequence[str], word: str) 
     return tuple(known) or tuple(f"{word}_{k + 1}" for k in range(given))
 
 
-def true_points(things: TrueThings, known: Known, reached: np.ndarray, rng: np.random.Generator) -> Real:
-    """Points: as given, as the campaign's table has them but for its sigma, or drawn where the arm reaches.
+def true_points(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
+    """Points: as given, as the campaign's table has them but for its sigma, or drawn where the arm reaches, or on their link.
 
     Args:
         things: What the scenario says.
         known: What the campaign knows.
-        reached: Places that the arm reaches, shape (M, 3), [m].
+        around: Where they may be.
         rng: Draws the others.
     """
     said = things.points if isinstance(things.points, dict) else {}
@@ -120,7 +124,7 @@ def true_points(things: TrueThings, known: Known, reached: np.ndarray, rng: np.r
             std = known.points[name].std
             found[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
         else:
-            found[name] = _apart(name, lengths, found, reached, rng)
+            found[name] = _apart(name, lengths, found, around(known.carrier("point", name)), rng)
     return Real(tuple(found), np.array([*found.values()]).reshape(-1, 3))
 
 
@@ -142,14 +146,15 @@ def _apart(
     return np.asarray(reached[int(rng.integers(len(reached)))])
 
 
-def true_anchors(things: TrueThings, known: Known, reached: np.ndarray, rng: np.random.Generator) -> Real:
+def true_anchors(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
     """Anchors around the workspace; see :func:`true_points`."""
     said = things.anchors if isinstance(things.anchors, dict) else {}
-    middle = reached.mean(axis=0)
-    radius = float(np.sqrt(np.mean(np.sum((reached - middle) ** 2, axis=1))))
     names = _labels(things.anchors, (*known.settings.anchors,), "anchor")
     states = []
     for name in names:
+        reached = around(known.carrier("anchor", name))
+        middle = reached.mean(axis=0)
+        radius = float(np.sqrt(np.mean(np.sum((reached - middle) ** 2, axis=1))))
         direction = rng.standard_normal(3)
         xyz = middle + radius * rng.uniform(*AWAY) * direction / np.linalg.norm(direction)
         offset, scale = rng.uniform(*OFFSETS), 1.0 + SCALES * rng.standard_normal()
@@ -170,13 +175,14 @@ def true_anchors(things: TrueThings, known: Known, reached: np.ndarray, rng: np.
     return Real(names, np.array(states, dtype=float))
 
 
-def true_planes(things: TrueThings, known: Known, reached: np.ndarray, rng: np.random.Generator) -> Real:
+def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
     """Planes through the workspace, those that are known to be perpendicular so; see :func:`true_points`."""
     said = things.planes if isinstance(things.planes, dict) else {}
     right = [pair.between for pair in known.settings.perpendicular]
     declared = (*known.settings.planes, *(name for pair in right for name in pair))
     found: dict[str, np.ndarray] = {}
     for name in _labels(things.planes, tuple(dict.fromkeys(declared)), "plane"):
+        reached = around(known.carrier("plane", name))
         normal, through = rng.standard_normal(3), reached[int(rng.integers(len(reached)))]
         stated, true = known.settings.planes.get(name), said.get(name)
         others = [found[end][:3] for pair in right if name in pair for end in pair if end in found]
@@ -197,7 +203,7 @@ def true_planes(things: TrueThings, known: Known, reached: np.ndarray, rng: np.r
 
 
 def camera_state(known: Known, name: str, true: TrueCamera) -> tuple[list[float], bool]:
-    """State of a camera, shape (22,), and whether its place is given; where it is not, that of the tip or the world."""
+    """State of a camera, shape (22,), and whether its place is given; where it is not, that of its link or the world."""
     stated = known.settings.cameras[name]
     given = true.given or stated.given
     lens = stated.intrinsics
@@ -206,7 +212,7 @@ def camera_state(known: Known, name: str, true: TrueCamera) -> tuple[list[float]
     if true.distortion is not None:
         lens[4:] = true.distortion
     place = (true if true.given else stated).place(known=True)
-    return [*place, *lens.tolist(), float(stated.on == "tip")], given
+    return [*place, *lens.tolist(), float(stated.on != WORLD)], given
 
 
 def documents(real: Mapping[str, Real]) -> dict[str, Any]:
