@@ -18,6 +18,7 @@ SHOWN = {
     "3-the-undeclared-effect": r"verdict: noise_floor(.|\n)*found: joint_compliance at joint_3",
     "4-a-real-ur10": r"nominal +1\.[01]\d\d(.|\n)*final +0\.(0[5-9]|1[0-2])\d(.|\n)*flagged: \[532, 854, 855, (1062, )?1063\]",
     "6-a-ball-and-two-sockets": r"nominal +[89]\.\d{3}(.|\n)*final +0\.[45]\d\d mm RMS at the place that was held out",
+    "7-two-arms": r"effects: joint_compliance at left_joint_2(.|\n)*final +0\.05\d mm RMS of the bar(.|\n)*mm at most",
     "5-your-own-robot": r"euler: ZYX(.|\n)*GUESSED: by their ORDER(.|\n)*measured minus predicted: 0\.1\d\d mm RMS",
 }
 COLOUR = re.compile(r"\x1b\[[\d;]*m")

@@ -13,6 +13,7 @@ import pinocchio as pin
 import pytest
 
 import aridcal
+from aridcal.drawing.scene import limb_names, limb_of, scene
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import urdf_of
 from aridcal.fit.problem import problem
@@ -104,6 +105,25 @@ def test_the_hands_are_where_pinocchio_has_them_in_postures_that_nobody_measured
     assert after < 2.5e-4 < 1e-3 < nominal_off
 
 
+def test_the_scene_has_targets_at_the_hand_and_tells_the_arms_apart(two_arms: aridcal.Calibration) -> None:
+    """Rows are measured from the other hand: they are drawn where Pinocchio has the target seen from the torso."""
+    assert two_arms.outcome is not None
+    drawn = scene(two_arms.outcome)
+    model, data = drawn.nominal.tree, drawn.nominal.tree.createData()
+    R = drawn.T_world_base[:, :3, :3].transpose(0, 2, 1)
+    in_base = np.einsum("nij,nj->ni", R, drawn.measured - drawn.T_world_base[:, :3, 3])
+    rows = two_arms.outcome.measurements.as_read
+    places = {"finger": np.array([0.06, 0, 0]), "socket": np.array([0, 0, -0.05])}
+    for k, row in enumerate(rows.tolist()):
+        pin.framesForwardKinematics(model, data, drawn.readings[k])
+        torso, left = (data.oMf[model.getFrameId(name)] for name in ("torso", "left_hand"))
+        expected = torso.actInv(left.act(places[str(two_arms.outcome.measurements.target[row])]))
+        assert np.linalg.norm(in_base[k] - expected) < 0.02  # the robot was built some millimetres otherwise
+    assert limb_names(drawn.nominal) == ("left_hand", "right_hand")
+    for joint in list(model.names)[1:]:
+        assert limb_of(drawn.nominal, joint) == (0 if joint.startswith("left") else 1)
+
+
 @pytest.fixture(scope="module")
 def talos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The campaign of TALOS's head, as its README makes it."""
@@ -137,6 +157,8 @@ def test_the_head_sees_its_hands_where_pinocchio_has_them(talos: Path) -> None:
     assert 0.3 < found.errors.loc["final"].loc["test"]["pixel_rms_px"] < 0.38  # as the page has it
     truth = json.loads((talos / "truth.json").read_text())
     nominal = nominal_robot(load_campaign(talos / "campaign.yaml"))
+    limbs = {"torso_2_joint": -1, "arm_left_3_joint": 0, "head_1_joint": 1, "gripper_right_joint": 2}
+    assert {joint: limb_of(nominal, joint) for joint in limbs} == limbs
     hands = ("gripper_left_base_link", "gripper_right_base_link")
     real = true_model(nominal.urdf, truth["parameters"], "base_link", (*hands, "rgbd_rgb_optical_frame"))
     q = (

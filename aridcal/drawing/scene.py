@@ -26,7 +26,7 @@ from aridcal.drawing.thinned import thinned
 from aridcal.fit.constants import stage_urdf
 from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot, same_chain
-from aridcal.robot.kinematics import tree_frames
+from aridcal.robot.kinematics import start_frames, tree_frames
 from aridcal.robot.shapes import Shape
 
 ASSETS = Path(__file__).parent / "assets"
@@ -36,6 +36,9 @@ ROWS = 200
 
 # Viridis from 0.2 to 1, evenly: its darkest fifth is left out because the page is dark.
 VIRIDIS = ("#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725")
+
+# Limbs are told apart by these; those beyond them keep the URDF's colours.
+LIMBS = ("#4f9cf0", "#f08c4f", "#7ccf6b", "#d27bd6")
 
 # Magnifications to choose from.
 LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
@@ -72,7 +75,7 @@ class Scene:
         nominal: The robot as its URDF has it; also gives the visuals.
         calibrated: The same chain with the calibrated URDF's constants.
         readings: Joint readings in the order of ``nominal.readings``, shape (N, columns), [rad] or [m].
-        T_world_base: Shape (N, 4, 4), or (4, 4) for all rows.
+        T_world_base: Shape (N, 4, 4), or (4, 4) for all rows. The world of rows whose path starts at a link is that link's frame.
         measured: Target positions in the world frame, shape (N, 3), [m].
         predicted: The same as each stage predicts them; the first stage is "before", the last "after".
         test: Held-out rows, shape (N,) bool.
@@ -166,6 +169,10 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
         "geometries": geometries,
         "visuals": visuals,
         "bodies": len(joints),
+        "limbs": [
+            {"name": name, "colour": colour} for name, colour in zip(limb_names(scene.nominal), LIMBS, strict=False)
+        ],
+        "limb": [limb_of(scene.nominal, scene.nominal.tree.names[joint]) for joint in joints],
         "corrected": [bool(moves > SAME) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
         "poses": [packed(position_quaternion(T)) for T in (nominal, calibrated)],
         "rows": rows.tolist(),
@@ -295,8 +302,26 @@ def _readings(robot: Robot, readings: np.ndarray) -> list[dict[str, Any]]:
     for name, values in zip(robot.readings, readings.T, strict=True):
         revolute = robot.moves[name][1] == "revolute"
         unit, scale = ("°", 180 / np.pi) if revolute else ("mm", 1e3)
-        shown.append({"name": name, "unit": unit, "values": (scale * values).round(4).tolist()})
+        limb = limb_of(robot, name)
+        shown.append({"name": name, "unit": unit, "values": (scale * values).round(4).tolist(), "limb": limb})
     return shown
+
+
+def limb_names(robot: Robot) -> tuple[str, ...]:
+    """Links at the ends of the limbs; none of a robot of one limb."""
+    return tuple(limb.tip for limb in robot.limbs) if robot.others else ()
+
+
+def limb_of(robot: Robot, joint: str) -> int:
+    """Number of the limb that a joint or one above it is of alone; -1 where none is."""
+    tree, names = robot.tree, [limb.names for limb in robot.limbs] if robot.others else []
+    k = tree.getJointId(joint) if tree.existJointName(joint) else 0
+    while k:
+        own = [number for number, limb in enumerate(names) if tree.names[k] in limb]
+        if own:
+            return own[0] if len(own) == 1 else -1
+        k = tree.parents[k]
+    return -1
 
 
 def _deduplicated(shapes: tuple[Shape, ...], joints: list[int]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
@@ -353,7 +378,13 @@ def scene(outcome: Outcome) -> Scene:
     conditions = {name: values[rows] for name, values in m.conditions.items()}
     world = fit.model.rows(m.readings[rows], conditions, station, target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
-    calibrated = stage_urdf(outcome.stage("geometric").fit)
+    calibrated = same_chain(robot, stage_urdf(outcome.stage("geometric").fit))
+    # Where a path starts at a link, that link's frame is the world of its rows.
+    route = None if m.route is None else m.route[rows]
+    R, p, linked = start_frames(calibrated, m.readings[rows], m.routes, route)
+    T_world_base, back = bases[world], R[linked].transpose(0, 2, 1)
+    T_world_base[linked, :3, :3] = back
+    T_world_base[linked, :3, 3] = -np.einsum("nij,nj->ni", back, p[linked])
     measured = m.position[rows]
     shifts = {stage.name: stage.residual[:, :3] for stage in outcome.stages}
     if m.blocks:
@@ -365,9 +396,9 @@ def scene(outcome: Outcome) -> Scene:
     told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
-        calibrated=same_chain(robot, calibrated),
+        calibrated=calibrated,
         readings=m.readings[rows],
-        T_world_base=bases[world],
+        T_world_base=T_world_base,
         measured=measured,
         predicted={name: measured - shift[rows] for name, shift in shifts.items()},
         test=m.test[rows],

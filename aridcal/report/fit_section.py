@@ -16,6 +16,7 @@ from aridcal.report.data_section import row_table
 from aridcal.report.second_look_section import halves, left_out
 from aridcal.result.key_figures import axis_rms, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors
+from aridcal.robot.kinematics import start_frames
 
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
@@ -159,7 +160,7 @@ def _workspace(outcome: Outcome) -> Html:
     if outcome.measurements.blocks:
         shift = outcome.at_target.shift(outcome.stages[-1].residual)
         sound &= ~np.isnan(shift).any(axis=1)
-        error, points = 1e3 * np.linalg.norm(shift[sound], axis=1), outcome.at_target.places[sound]
+        error, points = 1e3 * np.linalg.norm(shift[sound], axis=1), _in_world(outcome)[sound]
     else:
         error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
         points = outcome.measurements.position[sound]
@@ -175,6 +176,17 @@ def _workspace(outcome: Outcome) -> Html:
         plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm", colors)
         drawn.append((f"{what} after calibration, {first}–{second} plane", plot))
     return figures(drawn)
+
+
+def _in_world(outcome: Outcome) -> np.ndarray:
+    """Places of the targets in the world, shape (N, 3), [m], those that are measured from a link included."""
+    m, places = outcome.measurements, outcome.at_target.places
+    R, p, linked = start_frames(outcome.robot, m.readings, m.routes, m.route)
+    if not linked.any():
+        return places
+    _, world = outcome.stages[-1].fit.model.world_base[0]
+    in_base = p + np.einsum("nij,nj->ni", R, places)
+    return np.where(linked[:, None], in_base @ world.rotation.T + world.translation, places)
 
 
 def _configuration(outcome: Outcome, row: int) -> str:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from aridcal.robot.chain import Robot, driven
+from aridcal.robot.chain import Robot, Route, driven
 from aridcal.robot.drive import Drive
 
 # An axis whose other two components are smaller is one of its frame's own: the rounding of a written URDF.
@@ -265,6 +265,34 @@ def tip_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """Axes (N, 3, 3) and origins (N, 3) of the tip link in the base frame, nominal."""
     tip = link_frame(robot, robot.tip)
     return next(_on(step, tip) for step in tree_frames(robot, readings) if step.joint == tip.parentJoint)
+
+
+def start_frames(
+    robot: Robot, readings: np.ndarray, routes: Sequence[Route], route: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the links are at which the paths of rows start, nominal placements.
+
+    Args:
+        robot: With all limbs.
+        readings: Shape (N, columns), [rad] or [m].
+        routes: The paths.
+        route: Number of each row's, shape (N,); None where all take the first.
+
+    Returns:
+        Rotations (N, 3, 3) and places (N, 3), [m], in the base's frame, and which rows start at a link, shape (N,) bool; those of
+        the others are the identity.
+    """
+    n = len(readings)
+    R, p, linked = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool)
+    own = np.zeros(n, dtype=int) if route is None else route
+    for number in np.unique(own).tolist():
+        start, some = routes[number].start, own == number
+        if start is not None:
+            chain = robot.between(None, start)
+            columns = [robot.readings.index(name) for name in chain.readings]
+            R[some], p[some] = tip_frames(chain, readings[some][:, columns])
+            linked |= some
+    return R, p, linked
 
 
 def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:

@@ -20,7 +20,7 @@
     <button id="back" title="arrow left">&lt;</button><button id="on" title="arrow right">&gt;</button>
     <button id="worst">worst</button></h2>
     <input id="row" type="range" min="0" step="1" title="arrow keys step through the rows">
-    <p id="here"></p><p id="readings"></p></section>
+    <p id="here"></p><p id="limbs"></p><p id="readings"></p></section>
     <section><h2>Show</h2><div id="show"></div><p id="grid"></p></section>
     </details>
     <button id="flip" title="before or after calibration: key b"><span id="was"></span> → <span id="is"></span></button>`;
@@ -181,8 +181,10 @@
     });
     data.visuals.forEach((visual, k) => {
       const faceted = data.geometries[visual.geometry].kind === "mesh";
+      const tint = data.limbs[data.limb[visual.body]];
+      const own = new THREE.Color(...visual.colour);
       const paint = new THREE.MeshPhongMaterial({
-        color: new THREE.Color(...visual.colour), flatShading: faceted, side: faceted ? THREE.DoubleSide : THREE.FrontSide,
+        color: tint ? own.lerp(new THREE.Color(tint.colour), 0.6) : own, flatShading: faceted, side: faceted ? THREE.DoubleSide : THREE.FrontSide,
         shininess: 25, specular: 0x222222,
       });
       for (const [robot, material] of [["calibrated", paint], ["nominal", ghost]]) {
@@ -390,6 +392,7 @@
       const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
       if (by) walk(by);
     }, { signal });
+    for (const limb of data.limbs) element("span", byId("limbs"), limb.name).style.color = limb.colour;
     const switches = {
       calibrated: "Calibrated", nominal: "Nominal ghost", targets: "Targets", vectors: "Error needles",
       train: "Fitted rows", test: "Held-out rows",
@@ -441,7 +444,8 @@
       byId("readings").replaceChildren();
       for (const joint of data.readings) {
         const line = element("span", byId("readings"));
-        element("span", line, joint.name);
+        const name = element("span", line, joint.name);
+        if (data.limbs[joint.limb]) name.style.color = data.limbs[joint.limb].colour;
         element("span", line, `${joint.values[state.row].toFixed(1)} ${joint.unit}`);
       }
     }
