@@ -48,7 +48,7 @@ def states_of(kind: Kind, rng: np.random.Generator, n: int, on_tip: bool) -> lis
             )
         elif role.name == "tracker":
             made.append(0.1 * rng.normal(size=(n, 2)))
-        elif role.name == "board":
+        elif role.name in ("board", "grasp"):
             made.append(np.hstack([rng.normal(size=(n, 3)), rotations(rng, n).reshape(n, 9)]))
         else:
             made.append(rng.normal(size=(n, 3)))
@@ -66,6 +66,9 @@ def rows(
     if name == "pose":
         measured = R @ Rotation.from_rotvec(rng.normal(scale=0.5, size=(n, 3))).as_matrix()
         observed[:, 3:] = measured.reshape(n, 9)
+    if name == "joined":
+        held = R @ Rotation.from_rotvec(rng.normal(scale=0.5, size=(n, 3))).as_matrix()
+        states[0][:, 3:] = held.reshape(n, 9)
     if name == "pixels":
         camera, board, _ = states
         seen = np.column_stack([rng.uniform(-0.3, 0.3, (n, 2)), rng.uniform(0.5, 1.5, n)])

@@ -172,7 +172,44 @@ def camera(
     return pd.DataFrame(rows), block, things
 
 
-WAYS = {"tracker": tracker, "ballbar": ballbar, "camera": camera}
+GRASPS = 8
+
+
+def grasps(robot: Machine, n: int, rng: np.random.Generator, sigma: float = SIGMA) -> tuple[np.ndarray, np.ndarray]:
+    """Postures (n, joints) in which both hands hold a body, taken anew every so often, and the label of each grasp."""
+    model, data = robot.model, robot.model.createData()
+    left, right = (model.getFrameId(f"{side}_hand") for side in ("left", "right"))
+    own = [model.joints[model.getJointId(name)].idx_v for name in robot.joints if name.startswith("right")]
+    found: list[np.ndarray] = []
+    label: list[str] = []
+    for grasp in range(GRASPS):
+        home, count = rng.uniform(-0.8, 0.8, model.nq), 0
+        (held,) = robot.seen(home[None], "left_hand", "right_hand")
+        while count < n // GRASPS:
+            q = home + np.clip(rng.normal(0, 0.5, model.nq), -1, 1)
+            slack = pin.SE3(Rotation.from_rotvec(rng.normal(0, sigma, 3)).as_matrix(), rng.normal(0, sigma, 3))
+            for _ in range(30):
+                pin.framesForwardKinematics(model, data, q)
+                off = pin.log6(data.oMf[right].actInv(data.oMf[left] * held * slack)).vector
+                J = pin.computeFrameJacobian(model, data, q, right)[:, own]
+                q[own] += np.clip(np.linalg.lstsq(J, off, rcond=1e-6)[0], -0.3, 0.3)
+            if np.abs(off).max() < 1e-10 and np.abs(q).max() < 1.5:
+                found.append(q)
+                label.append(f"grasp {grasp}")
+                count += 1
+    return np.array(found), np.array(label)
+
+
+def joined(
+    robot: Machine, q: np.ndarray, rng: np.random.Generator
+) -> tuple[pd.DataFrame, dict[str, Any], dict[str, Any]]:
+    """Both hands hold a body that gives way by the noise."""
+    q, label = grasps(robot, len(q), rng)
+    block = {"kind": "joined", "links": ["left_hand", "right_hand"], "noise": {"position": SIGMA, "rotation": SIGMA}}
+    return robot.table(q, grasp=label), block, {}
+
+
+WAYS = {"tracker": tracker, "ballbar": ballbar, "camera": camera, "joined": joined}
 
 
 def write(folder: Path, robot: Machine, ways: tuple[str, ...], q: np.ndarray, seed: int = 1, **more: Any) -> Path:

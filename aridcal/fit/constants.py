@@ -54,7 +54,7 @@ def has_world(data: Dataset) -> bool:
 
 def measures_target(data: Dataset) -> bool:
     """True if a target on the tip is measured; cameras see the tip itself."""
-    return not data.blocks or any(block.kind != "pixels" for block in data.blocks)
+    return not data.blocks or not all(KINDS[block.kind].bare for block in data.blocks)
 
 
 def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:

@@ -329,7 +329,7 @@ def reduced(
     """
     AA, Ar, rr, count = (value.copy() for value in (equations.AA, equations.Ar, equations.rr, equations.count))
     X, y = found.X, found.y
-    flat = X.reshape(-1, X.shape[2])
+    flat = X.reshape(X.shape[0] * X.shape[1], X.shape[2])
     for c in range(len(sigma)):
         cross = sums.BJ[c].reshape(flat.shape).T @ flat
         inner = sums.BB[c] @ X

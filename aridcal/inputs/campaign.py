@@ -20,7 +20,7 @@ from pydantic import (
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.inputs.counting import check_joints
-from aridcal.inputs.instrument_settings import InstrumentSettings
+from aridcal.inputs.instrument_settings import TIP, WORLD, InstrumentSettings
 from aridcal.inputs.measurement_settings import (
     MeasurementSettings,
     Names,
@@ -232,6 +232,14 @@ class Job(Settings):
         """All blocks of measurements; one is the rule."""
         return (self.measurements, *self.listed[1:])
 
+    @property
+    def links(self) -> dict[str, str]:
+        """Links of the URDF between which rows are, beside the robot's base and tip, and the key that names each."""
+        named = {link: f"instruments.{key}" for link, key in self.instruments.links.items()}
+        for number, block in enumerate(self.blocks):
+            named |= dict.fromkeys(block.links or (), f"{self.place(number)}.links")
+        return {link: key for link, key in named.items() if link not in (TIP, WORLD)}
+
     def place(self, number: int) -> str:
         """What a block is called in messages."""
         return f"measurements[{number}]" if self.listed else "measurements"
@@ -358,13 +366,13 @@ def nominal_robot(job: Job) -> Robot:
     robot = load_robot(
         named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments, named.stated
     )
-    links = job.instruments.links
+    links = job.links
     if links:
         names = {frame.name for frame in robot.tree.frames}
         for link, key in links.items():
             if link not in names:
                 raise CampaignError(
-                    f"{job.path}: instruments.{key}: no link {shortened(link)!r} in {robot.path.name}{nearest(link, names)}; "
+                    f"{job.path}: {key}: no link {shortened(link)!r} in {robot.path.name}{nearest(link, names)}; "
                     "write tip, world or a link of the URDF"
                 )
         robot = with_limbs(robot, tuple(links))

@@ -17,6 +17,7 @@ from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.exports.robot_calibration import NAME
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.joined import JOINED
 from aridcal.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.reading.names import check_name
 
@@ -37,6 +38,9 @@ FAR = 100.0
 
 # Quantities of a table beside those of its kind: which of several targets was measured, which image was looked at.
 TARGET, SHOT = "target", "shot"
+
+# Things whose label every row says itself: there is no usual one.
+LABELLED = ("point", "marker", "grasp")
 
 # Radians in one of each unit of angle.
 ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
@@ -341,6 +345,8 @@ class MeasurementSettings(Section):
     """Which target was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
     """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
+    links: tuple[str, str] | None = None
+    """Between which all rows are; for `kind: joined`."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
@@ -389,6 +395,13 @@ class MeasurementSettings(Section):
             )
         if self.inverted is not None and self.kind != "pose":
             raise ValueError("inverted: belongs to `kind: pose`, whose rows have orientations; delete it")
+        joined = KINDS[self.kind] == JOINED
+        if joined and (self.links is None or self.links[0] == self.links[1] or "world" in self.links):
+            raise ValueError("links: `kind: joined` needs the two links that hold one body: [left_hand, right_hand]")
+        if self.links is not None and not joined:
+            raise ValueError("links: belongs to `kind: joined`; delete it")
+        if joined and self.target is not None:
+            raise ValueError("target: `kind: joined` has no target beside its links; delete it")
         if self.camera is not None and self.kind != "pixels":
             raise ValueError("camera: belongs to `kind: pixels`; delete it")
         return self
@@ -417,7 +430,7 @@ class MeasurementSettings(Section):
             names = ("x", "y", "z", *(own if self.kind == "pose" else ()))
         else:
             kind = KINDS[self.kind]
-            labels = [role.name for role in kind.roles if role.name in ("point", "marker", "plane")]
+            labels = [role.name for role in kind.roles if role.name in (*LABELLED, "plane")]
             names = (*(() if self.kind == "plane" else kind.read), *labels)
         return {self.columns.get(name, name) for name in names}
 
@@ -430,4 +443,5 @@ class MeasurementSettings(Section):
             return (TARGET,)
         kind = KINDS[self.kind]
         labels = [role.name for role in kind.roles if role.name != "board"]  # which board it is, the camera says
-        return (*kind.read, *labels, SHOT if self.kind == "pixels" else TARGET)
+        more = () if kind.bare else (TARGET,)
+        return (*kind.read, *labels, *((SHOT,) if self.kind == "pixels" else more))

@@ -22,7 +22,7 @@ from aridcal.inputs.checks import (
     stale_rows,
 )
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
-from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
+from aridcal.inputs.measurement_settings import LABELLED, OF_TARGETS, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
@@ -103,7 +103,7 @@ def load_measurements(
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
     known, own = known_of(campaign), files is None
-    robot = robot if robot is not None and robot.others else None
+    robot = robot if campaign.links else None
     asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
@@ -167,14 +167,14 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     target = _words(source, TARGET) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
         target = np.full(len(table), settings.target)
-    plain = not asked.require_pose or (alone and of_target and target is None and not campaign.instruments.links)
+    plain = not asked.require_pose or (alone and of_target and target is None and not campaign.links)
     observed = position if of_target or plain else _observed(source)
     refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
     if not (of_target or plain):
         camera = refers[:, 0] if settings.kind == "pixels" else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
-        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip)
+        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
         q = source.joints(kinds, needed_columns(asked.robot, paths))
     station = source.labels("station", needed="station" if per_station(campaign) else "")
     split = source.split()
@@ -306,11 +306,7 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
     for role in KINDS[settings.kind].roles:
         if role.name == "board":  # what carries the marker, once that is known
             continue
-        words = (
-            source.labels(role.name, needed=settings.kind)
-            if role.name in ("point", "marker")
-            else _words(source, role.name)
-        )
+        words = source.labels(role.name, needed=settings.kind) if role.name in LABELLED else _words(source, role.name)
         if words is None:
             words = np.full(n, _default(asked.campaign, settings, role.name))
         if role.name == "camera":
@@ -368,12 +364,14 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
         MeasurementError: a table calls a target of its own what the tip is called.
     """
     label = rows.target if rows.target is not None else np.full(len(rows), "", dtype=str)
-    names = {"pixels": lambda block: TIP, "inclination": lambda block: block.title}
-    own = {block.title: names.get(block.kind, lambda block: ONE_TARGET)(block) for block in campaign.blocks}
+    own = {block.title: _own_target(block) for block in campaign.blocks}
     if rows.target is None and len(set(own.values())) == 1:
         return rows
     if TIP in label and TIP in own.values():
-        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside `kind: pixels`; rename it")
+        beside = listed(
+            [f"`kind: {kind}`" for kind in dict.fromkeys(b.kind for b in campaign.blocks) if KINDS[kind].bare]
+        )
+        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {beside}; rename it")
     told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.block], label)
     if per_station(campaign):
         raise CampaignError(
@@ -383,30 +381,36 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
     return replace(rows, target=told)
 
 
+def _own_target(block: MeasurementSettings) -> str:
+    """Label of the target of rows that name none: links themselves, a level's own frame, or the only one."""
+    if KINDS[block.kind].bare:
+        return TIP
+    return block.title if block.kind == "inclination" else ONE_TARGET
+
+
 def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     """The rows with what is known of the things that they refer to."""
     rows = replace(rows, refers=with_trackers(rows.refers, rows.blocks, rows.block, asked.readings))
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
-        rows = with_routes(rows, asked.known, asked.robot)
+        rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
 
 
-def with_routes(rows: Dataset, known: Known, robot: Robot) -> Dataset:
+def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Known, robot: Robot) -> Dataset:
     """The rows with the paths that they take.
 
     Raises:
         RobotError: no joint moves on one of them.
     """
     paths = [Route()] * len(rows)
-    for number, block in enumerate(rows.blocks):
+    for number, block in enumerate(blocks):
         own = np.flatnonzero(rows.block == number)
         target = None if rows.target is None else rows.target[own]
-        for k, path in zip(
-            own.tolist(), routes_of(known, block.kind, rows.refers[own], target, robot.tip), strict=True
-        ):
+        of_block = routes_of(known, block.kind, rows.refers[own], target, robot.tip, block.links)
+        for k, path in zip(own.tolist(), of_block, strict=True):
             paths[k] = path
     routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
     for path in routes[1:]:

@@ -12,7 +12,14 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.robot.chain import Robot, Route
 
 
-def routes_of(known: Known, kind: str, refers: np.ndarray, target: np.ndarray | None, tip: str) -> list[Route]:
+def routes_of(
+    known: Known,
+    kind: str,
+    refers: np.ndarray,
+    target: np.ndarray | None,
+    tip: str,
+    links: tuple[str, str] | None = None,
+) -> list[Route]:
     """The path of each row of a kind, n of them.
 
     A camera is where its rows' paths end, whatever it looks at; only one in the world is where they start.
@@ -23,7 +30,10 @@ def routes_of(known: Known, kind: str, refers: np.ndarray, target: np.ndarray | 
         refers: Labels of what they refer to, in the order of the kind's roles, shape (n, 3).
         target: Label of each row's target, shape (n,), or None.
         tip: The robot's tip.
+        links: The two between which the block says that all its rows are.
     """
+    if links is not None:
+        return [_between(*links, tip)] * len(refers)
     roles = [role.name for role in KINDS[kind].roles]
     targets = np.full(len(refers), "") if target is None else target
     told = np.column_stack([refers, targets]).astype(str)
@@ -41,6 +51,11 @@ def _route(known: Known, label: dict[str, str], target: str, tip: str) -> Route:
     else:
         start = next((carrier for role, carrier in carriers.items() if role != "tracker"), WORLD)
         end = known.settings.targets[target].on if target in known.settings.targets else TIP
+    return _between(start, end, tip)
+
+
+def _between(start: str, end: str, tip: str) -> Route:
+    """The path from one carrier to another."""
     return Route({WORLD: None, TIP: tip}.get(start, start), None if end in (TIP, tip) else end)
 
 

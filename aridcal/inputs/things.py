@@ -25,6 +25,7 @@ from aridcal.inputs.instrument_settings import (
 )
 from aridcal.inputs.measurement_settings import FAR, OF_TARGETS
 from aridcal.inputs.yaml_file import LARGEST
+from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Block, Instruments, Things, Tie
@@ -135,6 +136,8 @@ class Known:
             return settings.cameras[label].on
         if role == "board":
             return label.removeprefix(BOARD)
+        if role == GRASP.name:
+            return ""  # links that its block names
         if role == "point":
             return (label in self.points and self.points[label].on) or settings.points.on
         return WORLD
@@ -162,6 +165,8 @@ class Known:
             return plane.state, plane.free, np.inf
         if role.name == "camera":
             return settings.cameras[label].state, settings.cameras[label].free, np.inf
+        if role == GRASP:
+            return Placement().place(known=False), 6 * [True], np.inf
         if role.name == "board":
             if label not in self.boards:  # each marker is a point of what carries it
                 return Placement().place(known=True), 6 * [False], np.inf

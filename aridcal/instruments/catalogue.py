@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from aridcal.instruments.camera_sonar import CAMERA_SONAR, HEAD
 from aridcal.instruments.distance import DISTANCE
 from aridcal.instruments.inclination import INCLINED
+from aridcal.instruments.joined import JOINED
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pixels import PIXELS
 from aridcal.instruments.plane import PLANAR
@@ -14,7 +15,7 @@ from aridcal.instruments.point import TOUCHED
 from aridcal.instruments.pose import POSE, POSITION, TRACKER
 
 KINDS: Mapping[str, Kind] = {
-    kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED, CAMERA_SONAR)
+    kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED, JOINED, CAMERA_SONAR)
 }
 
 

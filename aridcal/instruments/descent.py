@@ -226,11 +226,11 @@ def located(
         rows = order[bounds[label] : bounds[label + 1]]
         if len(rows):
             found = kind.located(R[rows], p[rows], view.observed[rows], [state[rows] for state in of_rows])
-            made[label] = _kept(role.name, found, known[label], view.free[role.name][label])
+            made[label] = _kept(found, known[label], view.free[role.name][label])
     return {**states, role.name: made}
 
 
-def _kept(role: str, found: np.ndarray, known: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """What was found, with the numbers that are known and not free."""
-    own = np.array([free[:2].any()] * 3 + [free[2]]) if role == "plane" else free
+def _kept(found: np.ndarray, known: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """What was found, with the numbers that are known and not free; of a plane or a pose all are free, or none."""
+    own = free if len(free) == len(found) else np.full(len(found), free.any())
     return np.where(~own & np.isfinite(known), known, found)

@@ -98,6 +98,7 @@ class Kind:
         condition: True where a row says that a condition holds (the target is in the socket, on the plate): what was observed
             are then the readings of the joints.
         places: True where a row measures the target's own place in the world.
+        bare: True where the target is the end of the row's path itself, a link's own frame: nothing of it is unknown.
         missing: Of rows that come from no table, and read as many numbers as they need: which of m numbers a row does not
             measure, (n, W) and m to (n, m) bool.
         noise: Covariances of a row's first numbers, from what it read and the states of its things: (n, W) to (n, k, k); None
@@ -115,6 +116,7 @@ class Kind:
     turns: bool = False
     condition: bool = False
     places: bool = False
+    bare: bool = False
     missing: Callable[[np.ndarray, int], np.ndarray] | None = None
     noise: Callable[[np.ndarray, States], np.ndarray] | None = None
 

@@ -280,5 +280,6 @@ PIXELS = Kind(
     residual=_residual,
     derivatives=_seen,
     located=_located,
+    bare=True,
     turns=True,
 )

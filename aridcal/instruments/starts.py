@@ -96,7 +96,7 @@ def starts(
     if not kind.roles:
         return [Start(target, {})]
     free = {role.name: things[role.name].free for role in kind.roles}
-    view = View(kind, R, p, observed, refers, free, moves=not target_known and kind.name != "pixels")
+    view = View(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
     some = view.select(spread(len(p), MOST))
     found = sighted(some, target, known, STEPS) if kind.name == "pixels" else _by_target(some, target, known)
     return [Start(place.target, _filled(view, place, known)) for place in _ranked(found)]

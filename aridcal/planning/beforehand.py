@@ -270,7 +270,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
             instruments=made,
         )
     if labels:
-        rows = with_routes(replace(rows, target=target), known, robot)
+        rows = with_routes(replace(rows, target=target), [settings], known, robot)
     coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
     frames = campaign.frames
     model = Model(

@@ -29,6 +29,7 @@ OF_KINDS = {
     "distance": "A distance error is the reading minus what the model has it, along the wire.",
     "plane": "An error at a plane is the reading minus the target's height over the plane as it was found.",
     "pixels": "A pixel error is how far a marker is in the image from where the model has it.",
+    "joined": "An error of two links that hold one body is how far the second is from where the grasp was found, in the first.",
     "camera_sonar": "A position error is the length of the residual of the camera's pose, a rotation error the angle of its "
     "turn; the misfit within shots is what image points and ranges say beyond the pose, in sigmas.",
     "inclination": "An inclination error is the angle between gravity as measured and as the model has it.",

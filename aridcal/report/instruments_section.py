@@ -33,6 +33,7 @@ MORE = {
     "plane": "two more planes, perpendicular to one another, or a gauge that reads heights",
     "pixels": "a printed board of known size, and views of it turned about all axes",
     "inclination": "points, distances or pixels: directions of gravity tell no place",
+    "joined": "a known length between the hands, for the scale; a tracker or a camera, for what both arms share",
 }
 """What one more measurement would tell, by kind."""
 
@@ -48,6 +49,7 @@ BLIND = {
     "plane": "rotation of the target about itself; shifts and turns along the planes",
     "pixels": "what moves arm, cameras and boards together",
     "inclination": "every length; turns about the vertical",
+    "joined": "the scale of both arms together; where either link's own frame is; joints that carry both links",
 }
 """What rows of a kind cannot tell, whatever their number."""
 

@@ -20,7 +20,7 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.pixels import LENS, R9, T
+from aridcal.instruments.pixels import PLACE, R9, T
 from aridcal.instruments.pose import TRACKER
 from aridcal.instruments.setup import Things
 from aridcal.model.measured import Measured
@@ -209,9 +209,9 @@ def _written(things: Things, name: str, state: np.ndarray, known: _Known, rows: 
         tilts: Status = next((s for s in ("redundant", "identified") if s in status[:2]), "fixed")
         status = (tilts, tilts, tilts, status[2])
         partners = (partners[0], partners[0], partners[0], partners[2])
-    elif role.name in ("camera", "board"):
+    elif components[:6] == PLACE:
         rpy = pin.rpy.matrixToRpy(now[R9].reshape(3, 3)) if np.isfinite(now[R9]).all() else np.full(3, np.nan)
-        values = np.concatenate([now[T], rpy, now[LENS] if role.name == "camera" else []])
+        values = np.concatenate([now[T], rpy, now[R9.stop : R9.stop + len(components) - 6]])
     return [
         ThingValue(
             role=role.name,

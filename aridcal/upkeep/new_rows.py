@@ -42,7 +42,9 @@ would make matrices that no computer solves beside changes of metres."""
 CAMPAIGNS = (".yaml", ".yml")
 """Endings of a campaign of new rows, beside tables."""
 
-OWN_TARGETS = {"pixels": lambda title: TIP, "inclination": lambda title: title}
+OWN_TARGETS = {name: lambda title: TIP for name, kind in KINDS.items() if kind.bare} | {
+    "inclination": lambda title: title
+}
 """Kinds whose target is none that a pose measures: cameras see the tip itself, a level has a frame of its own."""
 
 
