@@ -124,7 +124,7 @@ def _write(
     with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
         (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric.model, saved.geometric.theta))
-        if any(c.basis.form not in ("1", "ones") for c in saved.final.model.coefficients):
+        if any(not c.basis.always for c in saved.final.model.coefficients):
             (stage / "model.urdf").write_bytes(urdf_of(saved.final.model, saved.final.theta))
         found = document(made, checked, mended, parents, figures)
         (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")

@@ -479,3 +479,26 @@ def test_the_order_of_the_coefficients_moves_no_pose() -> None:
     (_, rows), (_, same) = rows_of(one), rows_of(other)
     for a, b in zip(one.poses(theta, rows), other.poses(theta[::-1], same), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_motions_added_have_the_columns_of_finite_differences_and_leave_the_others() -> None:
+    robot = robots.random_robot(4, "RPRC")
+    model = Model(robot, varying(robot))
+    slots = [*model.own_motions, (robot.names[0], "r1"), ("tip_target", "x")]
+    wide = model.with_motions(slots)
+    rng = np.random.default_rng(5)
+    q, covariates = rng.uniform(-1.0, 1.0, (7, len(robot.readings))), {"time": rng.uniform(0.0, 1.0, 7)}
+    theta = np.concatenate([rng.normal(0.0, 1e-2, len(model.coefficients)), np.zeros(len(slots))])
+    R, _, J = wide.jacobian(theta, wide.rows(q, covariates))
+    count = len(model.coefficients)
+    np.testing.assert_array_equal(J[:, :, :count], model.jacobian(theta[:count], model.rows(q, covariates))[2])
+    step = 1e-6
+    for k in range(count, len(theta)):
+        moved = theta.copy()
+        moved[k] = step
+        R_up, p_up = wide.poses(moved, wide.rows(q, covariates))
+        moved[k] = -step
+        R_down, p_down = wide.poses(moved, wide.rows(q, covariates))
+        np.testing.assert_allclose(J[:, :3, k], (p_up - p_down) / (2 * step), atol=1e-8)
+        turn = 0.5 * (R_up - R_down) @ R.transpose(0, 2, 1) / step
+        np.testing.assert_allclose(J[:, 3:, k], turn[:, [2, 0, 1], [1, 2, 0]], atol=1e-8)

@@ -79,9 +79,6 @@ UNTOLD = (
 )
 """Notice of rows that tell too little."""
 
-ALWAYS = ("1", "ones")
-"""Forms of bases that are the same in all rows: constants and zeros."""
-
 
 @dataclass(frozen=True)
 class Column:
@@ -143,7 +140,7 @@ class Difference:
         U, S, _ = svd(R, lapack_driver="gesvd")  # LAPACK's faster one gives up on some matrices of less than full rank
         U = Q @ U
         told = RANK * max(float(S.max(initial=0.0)), np.finfo(float).tiny) < S
-        turns = [column.unit == "rad" and column.coefficient.basis.form in ALWAYS for column in self.columns]
+        turns = [column.unit == "rad" and column.coefficient.basis.always for column in self.columns]
         second = SECOND * float(np.diag(self.covariance)[turns].max(initial=0.0))
         floor = np.sqrt(len(self.d)) * (SMALLEST + second) / float(self.sigma.min())
         return U[:, told], np.hypot(S[told], floor)
@@ -210,7 +207,7 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     for side, saved in enumerate((a, b)):
         known = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
         variance = np.diag(covariances[side])
-        constant = [column.coefficient.basis.form in ALWAYS for column in columns]
+        constant = [column.coefficient.basis.always for column in columns]
         well = float(variance[constant].max(initial=0.0)) < WELL**2
         fitted = known & (variance > 0.0)
         effects, constants, times = _not_seen(saved, columns, every, known, fitted, free, sigma, well)
@@ -300,7 +297,7 @@ def _not_seen(
         Of effects, and of second order, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v);
         and times what the calibration's own covariance is larger for these.
     """
-    constant = np.array([column.coefficient.basis.form in ALWAYS for column in columns], dtype=bool)
+    constant = np.array([column.coefficient.basis.always for column in columns], dtype=bool)
     mine = np.hstack([moves[:, fitted], free])
     left = across(mine, moves[:, ~known])
     size = np.sqrt(np.mean(left**2, axis=0)) * float(sigma.min())

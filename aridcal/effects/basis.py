@@ -44,12 +44,20 @@ class Basis:
         return self.form == "1"
 
     @property
+    def always(self) -> bool:
+        """True where it is 1 in all rows: of a constant, and of a motion where effects act."""
+        return self.constant or self.form == "ones"
+
+    @property
     def smooth(self) -> bool:
         """True where its coefficient is a sample of a smooth function."""
         return not self.constant and FORMS[self.form].smooth
 
 
 CONSTANT = Basis()
+
+ALWAYS = Basis("ones")
+"""The constant 1 of what moves where effects do: at a joint behind its ``<origin>``, beside the joint's own motion."""
 
 
 Columns = Sequence[np.ndarray]
@@ -77,8 +85,8 @@ class Form:
 
 
 def _ones(z: Columns, n: Numbers) -> np.ndarray:
-    """1 wherever the covariate is there."""
-    return np.ones_like(z[0])
+    """1 in all rows, whose number no covariate tells: shape (1,)."""
+    return np.ones(1)
 
 
 def _linear(z: Columns, n: Numbers) -> np.ndarray:
@@ -181,12 +189,15 @@ def basis_name(basis: Basis) -> str:
 
 
 def evaluate(basis: Basis, covariates: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Values of a basis, shape (N,).
+    """Values of a basis, shape (N,); (1,) where there are no covariates at all, and it needs none.
 
     Raises:
         CovariateNotFound: a column that it depends on was not measured.
     """
-    return FORMS[basis.form].value(_columns(basis.form, basis.of, covariates), basis.numbers)
+    values = FORMS[basis.form].value(_columns(basis.form, basis.of, covariates), basis.numbers)
+    if basis.of or not covariates:
+        return values
+    return np.broadcast_to(values, next(iter(covariates.values())).shape)
 
 
 def evaluated(bases: Sequence[Basis], covariates: Mapping[str, np.ndarray]) -> np.ndarray:

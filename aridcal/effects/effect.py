@@ -48,11 +48,7 @@ class Coefficient:
     def name(self) -> str:
         """The same string in tables, files and messages, ``joint_2.pitch`` for instance."""
         label = "" if self.station is None else f"[{self.station}]"
-        tail = (
-            ""
-            if self.basis.constant or self.basis.form == "ones"
-            else f":{basis_name(self.basis).replace(f'{self.where}.', '')}"
-        )
+        tail = "" if self.basis.always else f":{basis_name(self.basis).replace(f'{self.where}.', '')}"
         return f"{self.where}{label}.{self.component}{tail}"
 
 
@@ -126,9 +122,7 @@ class Effect:
     @property
     def covariates(self) -> tuple[str, ...]:
         """Columns it depends on, each once; none of what is the same in all rows."""
-        of = (
-            (STATION,) if c.basis.form == "label" else c.basis.of for c in self.coefficients if c.basis.form != "ones"
-        )
+        of = ((STATION,) if c.basis.form == "label" else c.basis.of for c in self.coefficients)
         return tuple(dict.fromkeys(name for names in of for name in names))
 
     @cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 
-from aridcal.effects.basis import Basis
+from aridcal.effects.basis import ALWAYS, Basis
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed
 from aridcal.effects.sights import LENGTH, PLACE, SAG
@@ -25,11 +25,10 @@ def of_things(
     """What is otherwise than stated at the things of some roles, where it is not identified anyway."""
 
     def testable(rows: Observed) -> Iterator[Effect]:
-        always = Basis("ones", (rows.robot.names[0],))
         for (of, where), held in rows.held.items():
             for components in alternatives:
                 if of in roles and set(components) <= set(held):
-                    yield Effect(kind, where, tuple(Coefficient(where, c, always) for c in components))
+                    yield Effect(kind, where, tuple(Coefficient(where, c, ALWAYS) for c in components))
 
     return testable
 

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import (
     Groups,
     Known,
@@ -269,9 +267,7 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     states = {name: t.start for name, t in seen.instruments.things.items()}
     for name, state in model.states.items():
         states[name] = np.vstack([state, states[name][len(state) :]])
-    names = model.robot.names
-    ones = Basis("ones", (names[0],))
-    wide = model.with_coefficients((*model.coefficients, *(Coefficient(name, "axis", ones) for name in names)))
+    wide = model.with_motions(model.own_motions)
     at = rows_of_data(wide, data)
     return Problem(model, data, rows, progress, seen, groups(seen), states, (wide, at))
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
-from aridcal.effects.basis import evaluate
+from aridcal.effects.basis import ALWAYS, evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.labels import label_columns
 from aridcal.effects.loads import Surroundings, covariate_table, needs
@@ -160,6 +160,22 @@ class Model:
     def with_coefficients(self, coefficients: Sequence[Coefficient]) -> Model:
         """The same robot and frames with other unknowns."""
         return replace(self, coefficients=tuple(coefficients))
+
+    @property
+    def own_motions(self) -> tuple[tuple[str, str], ...]:
+        """The motion of each of the robot's joints about or along its axis, as place and component."""
+        return tuple((name, "axis") for name in self.robot.names)
+
+    def with_motions(self, motions: Iterable[tuple[str, str]]) -> Model:
+        """The same with constant motions where effects act, behind its other coefficients.
+
+        Their columns of the Jacobian are those of all effects with these motions, before a basis multiplies them.
+
+        Args:
+            motions: Place and component of each.
+        """
+        added = (Coefficient(where, component, ALWAYS) for where, component in motions)
+        return self.with_coefficients((*self.coefficients, *added))
 
     def rows(
         self,

@@ -104,7 +104,7 @@ class OneRowModel:
         free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]
         bases = {k: model.coefficients[k].basis for k in free}
         for k in free:
-            if bases[k].constant:
+            if bases[k].always:
                 self.still[locked.carrier[k]] += theta[k]
                 del bases[k]
         names = list(dict.fromkeys(name for basis in bases.values() for name in basis.of))

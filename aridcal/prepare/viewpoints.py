@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import declared, is_of_head
-from aridcal.effects.effect import Coefficient
 from aridcal.effects.kinds import Observed
 from aridcal.errors import CampaignError
 from aridcal.head.detections import head_things
@@ -195,8 +193,7 @@ def _approach(
         Readings, shape (N, columns).
     """
     robot = model.robot
-    ones = Basis("ones", (robot.names[0],))
-    moving = model.with_coefficients([Coefficient(j.name, "axis", ones) for j in robot.joints])
+    moving = model.with_coefficients(()).with_motions(model.own_motions)
     turning = np.array([kind != "prismatic" for kind in robot.kinds])
     still = np.zeros(len(robot.joints))
     for _ in range(STEPS):

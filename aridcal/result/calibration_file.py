@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from aridcal.effects.basis import FORMS, Basis
+from aridcal.effects.basis import ALWAYS, FORMS, Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.labels import is_label
 from aridcal.errors import CampaignError, has_controls
@@ -118,6 +118,11 @@ class BasisPart(Section):
                 f"no function {self.form!r} of {len(self.of)} covariates and these {len(self.numbers)} numbers"
             )
         return self
+
+    @property
+    def function(self) -> Basis:
+        """The basis; what is 1 in all rows depends on nothing, though files of versions before named a covariate."""
+        return ALWAYS if self.form == ALWAYS.form else Basis(self.form, self.of, self.numbers)
 
 
 def _works(form: str, of: Sequence[str], numbers: Sequence[float]) -> bool:
@@ -361,7 +366,7 @@ def rivals_of(document: CalibrationDocument) -> tuple[Rival, ...]:
             rival.weight,
             tuple(
                 (
-                    Coefficient(e.where, e.component, Basis(e.basis.form, e.basis.of, e.basis.numbers), e.station),
+                    Coefficient(e.where, e.component, e.basis.function, e.station),
                     e.value,
                 )
                 for e in rival.change

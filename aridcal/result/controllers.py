@@ -324,7 +324,7 @@ def _offsets(outcome: Outcome) -> Fit:
 
 def _own(c: Coefficient) -> bool:
     """True for what moves a joint along its axis as a function of its own position."""
-    return c.component == "axis" and c.basis.of == (c.where,) and c.basis.form != "ones"
+    return c.component == "axis" and c.basis.of == (c.where,)
 
 
 def _with_maps(outcome: Outcome) -> Fit | None:

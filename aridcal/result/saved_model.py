@@ -14,7 +14,6 @@ import pinocchio as pin
 import yaml
 
 from aridcal import __version__
-from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import TARGET, Sights
@@ -459,10 +458,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
 
     def solved(part: SolvedPart) -> SolvedModel:
         entries = part.coefficients
-        coefficients = tuple(
-            Coefficient(e.where, e.component, Basis(e.basis.form, e.basis.of, e.basis.numbers), e.station)
-            for e in entries
-        )
+        coefficients = tuple(Coefficient(e.where, e.component, e.basis.function, e.station) for e in entries)
         loads = part.loads
         sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
         around = Surroundings(np.array(loads.gravity), np.array(loads.payload_at), loads.payload, sights)

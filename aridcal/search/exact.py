@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.basis import Basis, evaluated
+from aridcal.effects.basis import evaluated
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.effects.place_scatter import is_scatter, place_columns
@@ -199,9 +199,8 @@ def linear_model(
     # Most are shared, and slow to be compared.
     own_bases = {id(c.basis): c.basis for e in effects for c in e.coefficients}
     bases = tuple(dict.fromkeys(own_bases.values()))
-    ones = Basis("ones", (observed.robot.names[0],))
     own = current.model.coefficients
-    model = current.model.with_coefficients((*own, *(Coefficient(*slot, ones) for slot in slots)))
+    model = current.model.with_motions(slots)
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     asked = problem(model, start.train)
     r, J = agreeing(asked, theta).linearised(theta)

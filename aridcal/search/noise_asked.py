@@ -12,8 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.problem import Problem, problem, scaled
 from aridcal.fit.residual import moved_by
@@ -83,11 +81,9 @@ def there(rows: Dataset) -> np.ndarray:
 def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
     """Every cause that follows from the model alone, no row's residual looked at; and where the targets are."""
     rows, model = question.data, question.model
-    ones = Basis("ones", (model.robot.names[0],))
-    slots = tuple(Coefficient(j.name, "axis", ones) for j in model.robot.joints)
-    at = np.concatenate([theta, np.zeros(len(slots))])
-    more = problem(model.with_coefficients((*model.coefficients, *slots)), rows).settled(at)
-    J = moved_by(more, at, len(slots))
+    at = np.concatenate([theta, np.zeros(len(model.own_motions))])
+    more = problem(model.with_motions(model.own_motions), rows).settled(at)
+    J = moved_by(more, at, len(model.own_motions))
     own = there(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
     found = [Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]

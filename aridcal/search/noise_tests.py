@@ -15,8 +15,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
@@ -196,10 +194,8 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     and of variance 1 if r is.
     """
     robot = fit.model.robot
-    ones = Basis("ones", (robot.names[0],))
-    moved = [Coefficient(name, "axis", ones) for name in robot.names]
-    asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *moved)), rows)
-    theta = np.concatenate([fit.theta, np.zeros(len(moved))])
+    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
     scale = spread(sigma, rows.channels)
     views = []
     if all(channel.axes == ("x", "y", "z") or channel.axes == ("rx", "ry", "rz") for channel in rows.channels):
@@ -207,7 +203,7 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
         parts = columns(rows.channels)
         turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
         views.append(View("in the target's axes", turned / scale))
-    J = moved_by(asked, theta, len(moved)) / scale[:, None]
+    J = moved_by(asked, theta, len(robot.joints)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
 from aridcal.effects.loads import covariate_table
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
@@ -180,14 +178,12 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tup
     :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
     """
     robot = fit.model.robot
-    ones = Basis("ones", (robot.names[0],))
-    turned = [Coefficient(name, "axis", ones) for name in robot.names]
-    asked = problem(fit.model.with_coefficients((*fit.model.coefficients, *turned)), rows)
-    theta = np.concatenate([fit.theta, np.zeros(len(turned))])
+    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
     was, left = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
     sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
-    J = moved_by(asked, theta, len(turned)) / sigma[:, None]
+    J = moved_by(asked, theta, len(robot.joints)) / sigma[:, None]
     found = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)

@@ -248,7 +248,7 @@ def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     if is_local(effect):  # no line through it says what it is
         return made
     for component in effect.motion:
-        of_covariates = [c for c in effect.coefficients if c.basis.form != "ones"]
+        of_covariates = [c for c in effect.coefficients if c.basis.of]
         own = [c for c in of_covariates if c.component == component and c.name in identified]
         for name in dict.fromkeys(c.basis.of[0] for c in own):
             part = [c for c in own if c.basis.of[0] == name]

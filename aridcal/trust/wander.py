@@ -27,7 +27,7 @@ from typing import Literal
 
 import numpy as np
 
-from aridcal.effects.basis import Basis
+from aridcal.effects.basis import ALWAYS
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import inverse
@@ -74,7 +74,7 @@ def zero_of(joint: Joint) -> Coefficient:
 
     Not a constant of its origin: those turn about axes of which others of them stand askew, and a zero may be off by a radian.
     """
-    return Coefficient(joint.name, "axis", Basis("ones", (joint.name,)))
+    return Coefficient(joint.name, "axis", ALWAYS)
 
 
 @dataclass(frozen=True)

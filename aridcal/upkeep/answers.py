@@ -108,7 +108,7 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings
     if change is None:
         return [f"odd: {cause.words}{how}"]
     lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
-    depending = any(not c.basis.constant and c.basis.form != "ones" for c in checked.wide.model.coefficients)
+    depending = any(not c.basis.always for c in checked.wide.model.coefficients)
     if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
         lines.append(
             "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, "

@@ -134,7 +134,7 @@ def _effects(before: Sequence[dict[str, Any]], final: SolvedModel) -> Iterator[d
 
     Their gains are on the rows of that calibration.
     """
-    left = {c.name: k for k, c in enumerate(final.model.coefficients) if c.basis.form not in ("1", "ones")}
+    left = {c.name: k for k, c in enumerate(final.model.coefficients) if not c.basis.always}
     std = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     for effect in before:
         names = [c.get("name") for c in _listed(effect, "coefficients")]
