@@ -126,6 +126,28 @@ def test_compare_sees_a_zero_that_moved_on_either_limb(tmp_path: Path) -> None:
         np.testing.assert_allclose(cause.value, 2e-3, rtol=0, atol=4 * float(cause.std[0]))
 
 
+def test_a_zero_that_moved_on_the_other_limb_is_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = two_arms.machine()
+    path = two_arms.write(
+        tmp_path / "before", machine, ("tracker",), readings(machine, 150, 1), diagnosis={"enabled": False}
+    )
+    aridcal.calibrate(path).save(tmp_path / "before" / "results")
+    since = replace(machine, slipped=("right_j3", 2e-3))
+    two_arms.write(tmp_path / "since", since, ("tracker",), readings(since, 20, 7), seed=5)
+    monkeypatch.chdir(tmp_path / "before")  # the campaign's own tables are named from here
+    before = aridcal.load("results")
+    after = before.recalibrate(tmp_path / "since" / "tracker.csv", tmp_path / "mended")
+    q = readings(since, 20, 9)
+    asked = since.table(q, target=np.full(len(q), "right"))
+    real = np.array([T.act(two_arms.RIGHT) for T in since.seen(q, "torso", "right_hand")])
+    off = []
+    for each in (before, after):
+        told = each.predict(asked)[["x", "y", "z"]].to_numpy(float)
+        apart = [np.linalg.norm(np.diff(places, axis=0), axis=1) for places in (told, real)]  # needs no frame
+        off.append(np.abs(apart[0] - apart[1]).max())
+    assert off[1] < 1e-4 < 5e-4 < off[0]
+
+
 def along(name: str, value: float) -> pin.SE3:
     """Rz, Rx, Tx or Tz."""
     axis = np.eye(3)["xyz".index(name[1])]

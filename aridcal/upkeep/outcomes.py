@@ -17,11 +17,15 @@ from aridcal.fit.least_squares import Convergence, Fit, fit_identifiable
 from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.things import Known, Rows, instruments_of, with_trackers
+from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.setup import Block
 from aridcal.model.model import Model
 from aridcal.result.outcome import Outcome, Stage
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.verdict import Verdict
+from aridcal.robot.chain import Route
 from aridcal.search.residual_trends import Order, Traces
 from aridcal.trust.uncertainty import precision
 from aridcal.upkeep.bounds import FALSE_ALARMS
@@ -142,8 +146,36 @@ def _predicted(saved: SavedModel) -> Dataset:
     covariates = {name: drawn[name] for name in model.needs}
     R, p = saved.final.poses(readings, covariates, station)
     turns = R if saved.kind == "pose" else None
-    return dataset(
+    rows = dataset(
         robot.readings, robot.kinds, readings, p, turns, sigma=saved.noise, covariates=covariates, station=station
+    )
+    return _on_limbs(rows, saved) if robot.others else rows
+
+
+def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
+    """Rows of poses as those of a robot of several limbs are: what a tracker read of targets, each on its own link."""
+    assert saved.campaign is not None
+    model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
+    block = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
+    of_block = np.zeros(n, dtype=int)
+    refers = with_trackers(np.full((n, ROLES), "", dtype=str), block, of_block, rows.names)
+    known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
+    observed = rows.position if rows.rotation is None else np.hstack([rows.position, rows.rotation.reshape(n, 9)])
+    target = rows.station
+    ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
+    return replace(
+        rows,
+        position=np.full((n, 3), np.nan),
+        rotation=None,
+        station=None,
+        blocks=block,
+        block=of_block,
+        observed=observed,
+        refers=refers,
+        instruments=instruments_of(known, [Rows(kind, refers)], rows.names, False)[0],
+        target=target,
+        routes=model.routes,
+        route=np.array([model.routes.index(Route(None, end)) for end in ends]),
     )
 
 
@@ -151,7 +183,7 @@ def _nominal(saved: SavedModel, predicted: Dataset) -> Fit:
     """The nominal robot with its frames where these suit the repaired model best."""
     model = saved.final.model
     own = _frame_coefficients(model)
-    bare = Model(model.robot, own, model.world_base, model.tip_target, model.around)
+    bare = model.with_coefficients(own)
     return recentred(fit_identifiable(problem(bare, predicted), range(len(own))))
 
 
