@@ -10,6 +10,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import robots
+import two_arms
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
@@ -24,7 +25,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.result.saving import calibration
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.robot.chain import Robot, parse_robot, with_limbs
 
 SAG = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint.gravity_torque",), (0.0,)))
 COMPLIANCE, SIGMA = 2e-5, 5e-5
@@ -78,6 +79,41 @@ def test_loads_are_those_of_a_point_mass_at_the_target(kinds: str) -> None:
             for component in bearing_components(joint.kind):
                 across = found[f"{joint.name}.gravity_moment_{component}"][k]
                 np.testing.assert_allclose(across, direction(component, joint.axis) @ moment, rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("on", ["", "left_hand", "right_4"])
+def test_a_payload_on_a_link_pulls_the_joints_that_bear_it_alone(on: str) -> None:
+    """Second road: Pinocchio's inverse dynamics of two arms, one of which carries a mass more; for one row, too."""
+    rng = np.random.default_rng(len(on))
+    robot = with_limbs(parse_robot(two_arms.urdf(), "left_hand", "torso"), ["right_hand", "head"])
+    q, payload = rng.uniform(-1.0, 1.0, (9, len(robot.readings))), rng.uniform(1.0, 20.0, 9)
+    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.3, loaded=True, on=on)
+    names = [f"{joint.name}.{kind}_torque" for joint in robot.joints for kind in ("gravity", "payload")]
+    found = loads_of(robot, q, around, payload)
+    asked = tuple(Coefficient(name.partition(".")[0], "axis", Basis("linear", (name,), (0.0,))) for name in names)
+    whole = Model(robot, asked, around=around)
+    theta = np.full(len(asked), 1e-4)
+    one, (_, p) = OneRowModel(whole, theta), whole.poses(theta, whole.rows(q, {"payload": payload}))
+    for k in range(len(q)):
+        np.testing.assert_allclose(
+            one.pose(q[k], one.effects(q[k], {"payload": payload[k]}))[1], p[k], rtol=0, atol=1e-12
+        )
+    model = pin.buildModelFromXML(two_arms.urdf().decode())
+    model.gravity.linear = around.gravity
+    link = model.frames[model.getFrameId(on or "left_hand")]
+    order = [robot.readings.index(name) for name in model.names[1:]]
+    for k in range(len(q)):
+        torque = []
+        for mass in (0.0, payload[k]):
+            carrying = model.copy()
+            hung = pin.Inertia(mass, link.placement.act(around.lever), np.zeros((3, 3)))
+            carrying.inertias[link.parentJoint] = model.inertias[link.parentJoint] + hung
+            torque.append(pin.computeGeneralizedGravity(carrying, carrying.createData(), q[k][order]))
+        for joint in robot.joints:
+            i = model.joints[model.getJointId(joint.name)].idx_v
+            both = found[f"{joint.name}.gravity_torque"][k], found[f"{joint.name}.payload_torque"][k]
+            np.testing.assert_allclose(both, (-torque[1][i], torque[0][i] - torque[1][i]), rtol=1e-9, atol=1e-9)
+            assert (both[1] == 0.0) == (model.getJointId(joint.name) not in model.supports[link.parentJoint].tolist())
 
 
 @pytest.mark.parametrize("base", ["base", "branch", "link_3"])

@@ -131,6 +131,33 @@ def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> N
     assert errors["final"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA < 0.7 * errors["geometric"]
 
 
+def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
+    q = readings(two_arms.machine(), 240)
+    load = np.random.default_rng(4).choice([0.0, 5.0, 10.0], len(q))
+    robot = replace(two_arms.machine(2, yields=1e-4), carried=load)
+    keys = {"tip": "right_hand", "base": "torso", "urdf": "two_arms.urdf"}  # the default path is the other arm's
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload={"column": "load", "on": "left_hand"})
+    _with(path, {"robot": keys})
+    pd.read_csv(tmp_path / "tracker.csv").assign(load=load).to_csv(tmp_path / "tracker.csv", index=False)
+    found = aridcal.calibrate(path)
+    (effect,) = found.result["effects"]
+    assert (effect["kind"], effect["where"]) == ("joint_compliance", "left_j2")
+    (value,) = effect["coefficients"]
+    assert abs(value["value"] - 1e-4) < 4 * value["std"] < 4e-6
+    (tmp_path / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
+    table = robot.table(q[:20], load=load[:20], target=np.full(20, "left"))
+    told, again = (
+        each.predict(table)[XYZ].to_numpy(float) for each in (found, aridcal.load(tmp_path / "calibration.yaml"))
+    )
+    np.testing.assert_allclose(told, again, rtol=0, atol=1e-12)
+    with pytest.raises(AridcalError, match="load"):
+        found.predict(table.drop(columns=["load"]))
+    with pytest.raises(CampaignError, match=r"payload.on: no link 'left_hnd' .*'left_hand'"):
+        aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "left_hnd"}}))
+    with pytest.raises(CampaignError, match=r"payload.on: no joint that rows measure bears 'torso'"):
+        aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "torso"}}))
+
+
 def test_a_row_needs_the_joints_of_its_own_path_alone(tmp_path: Path) -> None:
     robot = two_arms.machine()
     path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 60))

@@ -64,11 +64,13 @@ class Machine:
         model: Its own.
         yields: By how much the left shoulder gives way, [rad/(N m)].
         slipped: A joint, and by how much its zero has moved, [rad].
+        carried: Mass that hangs at the left hand in each row, [kg]; None: nothing.
     """
 
     model: pin.Model
     yields: float = 0.0
     slipped: tuple[str, float] | None = None
+    carried: np.ndarray | None = None
 
     @property
     def joints(self) -> list[str]:
@@ -77,13 +79,17 @@ class Machine:
 
     def seen(self, q: np.ndarray, start: str, end: str) -> list[pin.SE3]:
         """From one link to another in some rows, (N, joints)."""
-        data, found = self.model.createData(), []
+        data, found, heavy = self.model.createData(), [], self.model.copy()
+        hand = self.model.frames[self.model.getFrameId("left_hand")]
         shoulder = self.model.joints[self.model.getJointId("left_j2")].idx_v
-        for row in q:
+        for k, row in enumerate(q):
+            if self.carried is not None:
+                mass = pin.Inertia(float(self.carried[k]), hand.placement.translation, np.zeros((3, 3)))
+                heavy.inertias[hand.parentJoint] = self.model.inertias[hand.parentJoint] + mass
             bent = row.copy()
             if self.slipped is not None:
                 bent[self.joints.index(self.slipped[0])] += self.slipped[1]
-            bent[shoulder] -= self.yields * pin.computeGeneralizedGravity(self.model, data, row)[shoulder]
+            bent[shoulder] -= self.yields * pin.computeGeneralizedGravity(heavy, data, row)[shoulder]
             pin.framesForwardKinematics(self.model, data, bent)
             one, other = (data.oMf[self.model.getFrameId(link)] for link in (start, end))
             found.append(one.actInv(other))

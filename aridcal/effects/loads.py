@@ -11,7 +11,7 @@ from aridcal.effects.basis import FORMS, Basis
 from aridcal.effects.effect import direction
 from aridcal.effects.sights import Sights, is_sight
 from aridcal.robot.chain import Joint, Robot
-from aridcal.robot.kinematics import Walked, borne_by, gravity_loads, of_chain, tip_frames, tree_frames
+from aridcal.robot.kinematics import Walked, bears, borne_by, carried, gravity_loads, of_chain, tree_frames
 
 LOADS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
@@ -28,16 +28,18 @@ class Surroundings:
 
     Attributes:
         gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base.
-        lever: The payload's place, T_tip_target as the calibration has it, shape (3,), [m].
+        lever: The payload's place on its link: on the tip that of T_tip_target as the calibration has it, shape (3,), [m].
         loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
             without one, whose loads are those of the links alone.
         sights: Where the instruments' things and the targets are.
+        on: The link that carries the payload; empty for the tip.
     """
 
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     lever: np.ndarray = field(default_factory=lambda: np.zeros(3))
     loaded: bool = False
     sights: Sights = field(default_factory=Sights)
+    on: str = ""
 
 
 def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[str, ...]:
@@ -81,8 +83,10 @@ def covariate_table(
     walked = tuple(tree_frames(robot, readings))
     pull: np.ndarray | float = 0.0
     if "payload" in measured:
-        R, tip = tip_frames(robot, readings)
-        pull = _payload_loads(robot, walked, measured["payload"][:, None] * gravity, tip + R @ around.lever)
+        link = around.on or robot.tip
+        R, origin = carried(robot, walked, link)
+        weight = measured["payload"][:, None] * gravity
+        pull = _payload_loads(robot, walked, weight, origin + R @ around.lever, bears(robot, link))
         table |= {f"{joint.name}.payload_torque": _driving(joint, pull[:, j]) for j, joint in enumerate(robot.joints)}
     elif around.loaded:
         return table
@@ -101,12 +105,16 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
     return np.asarray(part @ joint.axis)
 
 
-def _payload_loads(robot: Robot, walked: Sequence[Walked], weight: np.ndarray, place: np.ndarray) -> np.ndarray:
+def _payload_loads(
+    robot: Robot, walked: Sequence[Walked], weight: np.ndarray, place: np.ndarray, bearing: np.ndarray
+) -> np.ndarray:
     """What a payload of some weight, shape (N, 3) [N], at a place (N, 3) does to each joint, as :func:`gravity_loads` has it.
 
-    On the way up it pushes the joint's parent link, so its child link the other way.
+    On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it,
+    shape (joints,) bool.
     """
-    senses, chain = [-1.0 if joint.climbs else 1.0 for joint in robot.joints], of_chain(robot, walked)
+    chain = of_chain(robot, walked)
+    senses = [float(own) * (-1.0 if joint.climbs else 1.0) for own, joint in zip(bearing, robot.joints, strict=True)]
     pulls = [np.cross(place - step.origin, weight) for step in chain]
     return borne_by(chain, [(sense * weight, sense * pull) for sense, pull in zip(senses, pulls, strict=True)])
 

@@ -34,6 +34,7 @@ from aridcal.instruments.catalogue import labelled
 from aridcal.reading.names import check_path
 from aridcal.robot.chain import Robot, load_robot, with_limbs
 from aridcal.robot.drive import Stated
+from aridcal.robot.kinematics import bears
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -209,6 +210,15 @@ class DiagnosisSettings(Section):
     )
 
 
+class PayloadSettings(Section):
+    """A mass that hangs at the origin of a link."""
+
+    column: str = "payload"
+    """Of the tables, in kg."""
+    on: str
+    """Link of the URDF."""
+
+
 class Job(Settings):
     """What a campaign and a scenario have in common."""
 
@@ -220,6 +230,8 @@ class Job(Settings):
     measurements: Annotated[MeasurementSettings, WrapValidator(_first_listed)] = MeasurementSettings()
     """The only block, or the first."""
     instruments: InstrumentSettings = InstrumentSettings()
+    payload: PayloadSettings | None = None
+    """Where the payload hangs, if not at the target of the default path."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
@@ -266,6 +278,18 @@ class Job(Settings):
             if is_of_head(effect.kind) and not (pixels and of_camera):
                 of = "`kind: camera_sonar`" + (" or `kind: pixels`" if of_camera else "")
                 raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")
+        return self
+
+    @model_validator(mode="after")
+    def _payload_has_one_column(self) -> Job:
+        for number, block in enumerate(self.blocks if self.payload else ()):
+            assert self.payload is not None
+            own = block.columns.setdefault("payload", self.payload.column)
+            if own != self.payload.column:
+                raise ValueError(
+                    f"{self.place(number)}.columns.payload: is {own!r} here and {self.payload.column!r} under payload.column; "
+                    "delete it here"
+                )
         return self
 
     @model_validator(mode="after")
@@ -376,6 +400,17 @@ def nominal_robot(job: Job) -> Robot:
                     "write tip, world or a link of the URDF"
                 )
         robot = with_limbs(robot, tuple(links))
+    if job.payload is not None:
+        names = {frame.name for frame in robot.tree.frames}
+        if job.payload.on not in names:
+            raise CampaignError(
+                f"{job.path}: payload.on: no link {shortened(job.payload.on)!r} in {robot.path.name}"
+                f"{nearest(job.payload.on, names)}; write a link of the URDF"
+            )
+        if not bears(robot, job.payload.on).any():
+            raise CampaignError(
+                f"{job.path}: payload.on: no joint that rows measure bears {job.payload.on!r}; write the link that carries it"
+            )
     for name in named.controller_zeros:
         if name not in robot.readings:
             raise CampaignError(

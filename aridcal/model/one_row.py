@@ -290,18 +290,19 @@ class _Loads:
         self._gravity = self._data.oMf[_link(robot, robot.base)].rotation @ around.gravity
         tree.gravity.linear = self._gravity
         self._driven = list(_driven(robot))
-        tip = tree.frames[_link(robot, robot.tip)]
-        self._last, self._lever = tip.parentJoint, tip.placement.act(around.lever)
+        link = tree.frames[_link(robot, around.on or robot.tip)]
+        self._last, self._lever = link.parentJoint, link.placement.act(around.lever)
+        bearing = set(tree.supports[self._last])
         self._along: list[tuple[int, int]] = []
         self._across: list[tuple[int, int, np.ndarray]] = []
-        self._payload: list[tuple[int, int]] = []
+        self._payload: list[tuple[int, int, float]] = []
         for place, name in wanted:
             joint, kind = name.rsplit(".", 1)
             k = tree.getJointId(joint)
             if kind == "gravity_torque":
                 self._along.append((place, tree.idx_vs[k]))
             elif kind == "payload_torque":
-                self._payload.append((place, tree.idx_vs[k]))
+                self._payload.append((place, tree.idx_vs[k], float(k in bearing)))
             else:
                 component = kind.removeprefix("gravity_moment_")
                 assert component in bearing_components(robot.joint(joint).kind)
@@ -329,8 +330,8 @@ class _Loads:
             last = data.oMi[self._last]
             push = covariates["payload"] * self._gravity
             turn = np.cross(last.act(self._lever), push)
-            for place, k in self._payload:
-                z[place] = data.J[:3, k] @ push + data.J[3:, k] @ turn
+            for place, k, borne in self._payload:
+                z[place] = borne * (data.J[:3, k] @ push + data.J[3:, k] @ turn)
 
 
 class _LoadsOfArrays:

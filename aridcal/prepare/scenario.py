@@ -135,6 +135,11 @@ def check_scenario(scenario: Scenario) -> None:
             _any_has(scenario, "orientation"),
             "the table is written with quaternions; delete this key",
         ),
+        "measurements.links": (
+            _any_has(scenario, "links"),
+            "two links that hold one body are not simulated; delete the block",
+        ),
+        "payload": (scenario.payload is not None, "a simulated mass hangs at the target; delete this key"),
         "frames": (
             "station" in (scenario.frames.world_base.per, scenario.frames.tip_target.per),
             "stations are not simulated; delete `per: station`",

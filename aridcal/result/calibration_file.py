@@ -98,6 +98,8 @@ class LoadsPart(Section):
 
     gravity: Vector3 | tuple[Vector3, ...]
     payload_at: Vector3
+    payload_on: str = ""
+    """The link that carries it; empty for the tip."""
     payload: bool = False
     """Older files have none: there it never counted."""
     targets: tuple[Vector3, ...] = ()

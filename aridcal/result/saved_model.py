@@ -409,6 +409,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         "loads": {
             "gravity": model.around.gravity.tolist(),
             "payload_at": model.around.lever.tolist(),
+            **({"payload_on": model.around.on} if model.around.on else {}),
             "payload": model.around.loaded,
             **({"targets": model.around.sights.targets.tolist()} if _by_place(model) else {}),
         },
@@ -461,7 +462,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         coefficients = tuple(Coefficient(e.where, e.component, e.basis.function, e.station) for e in entries)
         loads = part.loads
         sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
-        around = Surroundings(np.array(loads.gravity), np.array(loads.payload_at), loads.payload, sights)
+        at = np.array(loads.payload_at)
+        around = Surroundings(np.array(loads.gravity), at, loads.payload, sights, loads.payload_on)
         model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around, **paths)
         theta = np.array([e.value for e in entries], dtype=float)
         found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))

@@ -295,6 +295,21 @@ def start_frames(
     return R, p, linked
 
 
+def carried(robot: Robot, walked: Sequence[Walked], link: str) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (N, 3, 3) and origins (N, 3) of any link in the base frame, nominal, in a tree that was walked."""
+    frame = link_frame(robot, link)
+    return _on(next(step for step in walked if step.joint == frame.parentJoint), frame)
+
+
+def bears(robot: Robot, link: str) -> np.ndarray:
+    """Which joints bear what hangs at a link, the base standing still, shape (joints,) bool.
+
+    Those between the tree's root and the link; on the way up from the base, those that are not.
+    """
+    above = _joints_upstream(robot.tree, link_frame(robot, link))
+    return np.array([(robot.tree.getJointId(j.name) in above) != j.climbs for j in robot.joints], dtype=bool)
+
+
 def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of a link, from where the joint is that moves it."""
     axes = joint.axes.T

@@ -175,7 +175,7 @@ def _hung_again(arm: CalibratedArm) -> Geometry | None:
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
     loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
-    if not (before.loaded and loads and np.linalg.norm(lever - before.lever) > HANGS):
+    if before.on or not (before.loaded and loads and np.linalg.norm(lever - before.lever) > HANGS):
         return None
     return _around(arm.geometry, replace(before, lever=lever))
 
@@ -239,12 +239,13 @@ def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings
         model: The geometric stage's, its frames where they were identified.
         loaded: True where the rows have a payload.
     """
-    gravity = campaign.robot.gravity
-    lever = model.tip_target[0][1].translation
+    gravity, payload = campaign.robot.gravity, campaign.payload
+    lever = np.zeros(3) if payload else model.tip_target[0][1].translation
+    on = payload.on if payload else ""
     if gravity == "world":
         vectors = [frame.rotation.T @ EARTH for _, frame in model.world_base]
-        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever, loaded)
-    return Surroundings(np.array(gravity, dtype=float), lever, loaded)
+        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever, loaded, on=on)
+    return Surroundings(np.array(gravity, dtype=float), lever, loaded, on=on)
 
 
 def is_short(fit: Fit) -> bool:
