@@ -281,4 +281,5 @@ PIXELS = Kind(
     derivatives=_seen,
     located=_located,
     turns=True,
+    images=True,
 )

@@ -10,7 +10,6 @@ import numpy as np
 from aridcal.errors import CampaignError
 from aridcal.inputs.instrument_settings import Carrier
 from aridcal.inputs.things import BOARD, Known
-from aridcal.instruments.pixels import PIXELS as KIND
 from aridcal.instruments.pixels import faces, in_image
 from aridcal.prepare.true_things import (
     AROUND,
@@ -80,8 +79,8 @@ class Sight:
 
     def states(self, camera: np.ndarray, marker: np.ndarray) -> list[np.ndarray]:
         """States of cameras, their boards and markers, by their numbers."""
-        boards = self.board[camera]
-        return [self.real[role.name].states[k] for role, k in zip(KIND.roles, (camera, boards, marker), strict=True)]
+        numbers = {"camera": camera, "board": self.board[camera], "marker": marker}
+        return [self.real[role].states[k] for role, k in numbers.items()]
 
 
 def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
