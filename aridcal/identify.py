@@ -43,6 +43,7 @@ from aridcal.errors import OutputError, shortened
 from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
+from aridcal.instruments.channels import INCLINATION
 from aridcal.plant.keys import files_of
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
@@ -260,7 +261,7 @@ def _good(outcome: Outcome) -> bool:
 def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
     """The way to the controller; none of few data, of a model no better than the nominal one, or where no place was measured."""
     nominal, *_, full = (export.error for export in handover.exports)
-    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == "inclination":
+    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == INCLINATION.name:
         return []
     ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
     return [

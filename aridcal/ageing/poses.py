@@ -72,7 +72,7 @@ def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> Bo
         AridcalError: they are not of the same joints, or saw none of the same configurations.
     """
     _check_same_arm(a, b)
-    turns = a.kind == "pose" and b.kind == "pose"
+    turns = a.turns and b.turns
     notices: list[str] = []
     readings, covariates = _drawn(a, b, notices)
     targets = _targets(a, b)

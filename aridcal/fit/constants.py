@@ -12,7 +12,6 @@ from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.read import per_station
-from aridcal.instruments.catalogue import KINDS
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
@@ -48,13 +47,13 @@ def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], d
 
 def has_world(data: Dataset) -> bool:
     """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
-    known = any(KINDS[block.kind].places or block.kind == "inclination" for block in data.blocks)
+    known = any(block.traits.places or block.traits.level for block in data.blocks)
     return not data.blocks or known or data.instruments.world
 
 
 def measures_target(data: Dataset) -> bool:
     """True if a target on the tip is measured; cameras see the tip itself."""
-    return not data.blocks or not all(KINDS[block.kind].bare for block in data.blocks)
+    return not data.blocks or not all(block.traits.bare for block in data.blocks)
 
 
 def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.repeats import by_appearance, first_alike
 from aridcal.instruments.channels import TARGET_POSITION, columns
 
@@ -59,9 +58,7 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     n = size[label[own]]
     sigma, freedom, distances = [], [], [np.empty(0)]
     of_targets = (
-        [True] * len(rows.channels)
-        if not rows.blocks
-        else [b.kind in OF_TARGETS for b in rows.blocks for _ in b.channels]
+        [True] * len(rows.channels) if not rows.blocks else [b.traits.tracked for b in rows.blocks for _ in b.channels]
     )
     parts = zip(rows.channels, columns(rows.channels), rows.measures[own].T, of_targets, strict=True)
     for channel, part, there, of_target in parts:

@@ -77,13 +77,13 @@ def beginning(
         placed = True
     starts_on_link = np.array([route.start is not None for route in data.routes])
     linked = np.zeros(len(data), dtype=bool) if data.route is None else starts_on_link[data.route]
-    order = sorted(range(len(seen.blocks)), key=lambda b: seen.blocks[b].kind != "inclination")  # it knows the vertical
+    order = sorted(range(len(seen.blocks)), key=lambda b: not seen.blocks[b].traits.level)  # it knows the vertical
     for b in order:
         block = seen.blocks[b]
         if KINDS[block.kind].places:
             continue
         kind, own = seen.of_kind(b)
-        if block.kind == "inclination" and world is None and not posed.any():
+        if block.traits.level and world is None and not posed.any():
             found = replace(found, world_base=_levelled(seen, own, R, p, hints, tip, held))
         pairs = np.unique(np.column_stack([tip[own], linked[own]]), axis=0).tolist()
         parts = [(k, own[(tip[own] == k) & (linked[own] == carried)], bool(carried)) for k, carried in pairs]

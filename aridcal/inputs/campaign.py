@@ -258,12 +258,12 @@ class Job(Settings):
 
     @model_validator(mode="after")
     def _head_only_with_camera_sonar(self) -> Job:
-        if self.measurements.kind == "camera_sonar" and len(self.blocks) == 1:
+        if self.measurements.traits.of_head and len(self.blocks) == 1:
             if "tip_target" in self.frames.model_fields_set:
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
             return self
         for number, block in enumerate(self.blocks):
-            if block.kind == "camera_sonar":
+            if block.traits.of_head:
                 raise ValueError(
                     f"{self.place(number)}.kind: camera_sonar is not read beside other blocks; `aridcal measure` makes "
                     "a table of poses from its images: name that here, with `kind: pose`"
@@ -272,7 +272,7 @@ class Job(Settings):
                 raise ValueError(
                     f"{self.place(number)}.head: belongs to `kind: camera_sonar`; delete it, or write that kind"
                 )
-        pixels = any(block.kind == "pixels" for block in self.blocks)
+        pixels = any(block.traits.images for block in self.blocks)
         for number, effect in enumerate(self.effects):
             of_camera = KINDS[effect.kind].of_head == "camera"
             if is_of_head(effect.kind) and not (pixels and of_camera):
@@ -310,12 +310,12 @@ class Job(Settings):
                 "instruments: no block's rows refer to such things; delete this key, or add a block of "
                 f"`kind: {' or '.join(REFERRING)}`"
             )
-        if kinds == {"pixels"} and "tip_target" in self.frames.model_fields_set:
+        if all(block.traits.images for block in self.blocks) and "tip_target" in self.frames.model_fields_set:
             raise ValueError(
                 "frames.tip_target: `kind: pixels` has no target beside its cameras and markers; delete this key, and "
                 "say under `instruments` where they are"
             )
-        if "pixels" in kinds and not self.instruments.cameras:
+        if any(block.traits.images for block in self.blocks) and not self.instruments.cameras:
             raise ValueError(
                 "instruments.cameras: `kind: pixels` needs a camera; add it: "
                 "{eye: {width: 640, height: 480, fx: …, fy: …, cx: …, cy: …}}"
@@ -368,7 +368,7 @@ class Campaign(Job):
     @model_validator(mode="after")
     def _measurements_are_named(self) -> Campaign:
         for number, block in enumerate(self.blocks):
-            if block.kind == "camera_sonar":
+            if block.traits.of_head:
                 if block.head is None or block.files:
                     raise ValueError(
                         f"{self.place(number)}: `kind: camera_sonar` has `head: head.yaml` and no `file`; delete `file`, "

@@ -205,13 +205,13 @@ def refuse_impossible_readings(
         cameras: Those of the campaign.
         camera: Label of each row's, shape (N,); None for other kinds than pixels.
     """
-    kind = source.settings.kind
-    if kind == "distance":
+    kind = source.settings.traits
+    if kind.ranges:
         source.refuse(observed[:, 0] <= 0, source.column("distance"), "a distance must be positive")
-    elif kind == "inclination":
+    elif kind.level:
         nothing = np.abs(observed).max(axis=1) < FINEST
         source.refuse(nothing, " ".join(map(source.column, ("gx", "gy", "gz"))), "gravity of length 0 has no direction")
-    elif kind == "pixels" and camera is not None:
+    elif kind.images and camera is not None:
         for name, settings in cameras.items():
             size = np.array([settings.width, settings.height])
             outside = (observed < -HALF_PIXEL) | (observed > size - HALF_PIXEL)
@@ -231,7 +231,7 @@ def check_distances(source: Source, observed: np.ndarray) -> None:
         MeasurementError: no wire, ballbar or gauge of an arm is that long.
     """
     settings = source.settings
-    if settings.kind in ("distance", "plane") and observed.shape[1]:
+    if (settings.traits.ranges or settings.traits.gauges) and observed.shape[1]:
         read = np.abs(observed[source.usable, 0])
         if np.median(read) > LONG:
             raise source.wrong_unit([source.column(MEASURED[settings.kind].read[0])], "length", float(read.max()))

@@ -17,17 +17,14 @@ from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.exports.robot_calibration import NAME
 from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.joined import JOINED
+from aridcal.instruments.kind import Kind
 from aridcal.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.reading.names import check_name
 
 # Metres in one of each unit of length.
 LENGTHS = MappingProxyType({"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254, "ft": 0.3048})
 
-# Kinds whose rows measure the target in the world frame.
-OF_TARGETS = ("pose", "position")
-
-# Channels whose noise these, and the measuring head, may declare.
+# Channels whose noise rows of poses and positions, and the measuring head, may declare.
 OF_POSES = ("position", "rotation")
 
 # Ends the name of the column that says from which side a joint came.
@@ -381,28 +378,28 @@ class MeasurementSettings(Section):
 
     @model_validator(mode="after")
     def _what_the_kind_has(self) -> MeasurementSettings:
-        of_poses = self.kind in (*OF_TARGETS, "camera_sonar")
-        known = OF_POSES if of_poses else tuple(channel.name for channel in KINDS[self.kind].channels)
+        of_poses = self.traits.places
+        known = OF_POSES if of_poses else tuple(channel.name for channel in self.traits.channels)
         for channel in sorted(self.noise.model_fields_set - {"rows"} - set(known)):
             raise ValueError(
                 f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(known)}"
             )
         if self.noise.rows != "relative" and not of_poses:
             raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
-        if self.kind == "camera_sonar" and not self.table.is_plain:
+        if self.traits.of_head and not self.table.is_plain:
             raise ValueError(
                 "table: `kind: camera_sonar` has its tables in head.yaml, which are plain csv; delete this key"
             )
-        if self.inverted is not None and self.kind != "pose":
+        if self.inverted is not None and not self.traits.oriented:
             raise ValueError("inverted: belongs to `kind: pose`, whose rows have orientations; delete it")
-        joined = KINDS[self.kind] == JOINED
+        joined = self.traits.joins
         if joined and (self.links is None or self.links[0] == self.links[1] or "world" in self.links):
             raise ValueError("links: `kind: joined` needs the two links that hold one body: [left_hand, right_hand]")
         if self.links is not None and not joined:
             raise ValueError("links: belongs to `kind: joined`; delete it")
         if joined and self.target is not None:
             raise ValueError("target: `kind: joined` has no target beside its links; delete it")
-        if self.camera is not None and self.kind != "pixels":
+        if self.camera is not None and not self.traits.images:
             raise ValueError("camera: belongs to `kind: pixels`; delete it")
         return self
 
@@ -410,6 +407,11 @@ class MeasurementSettings(Section):
         """-1 of the side from which a joint came whose column counts backwards, else 1."""
         joint = self.joints.get(quantity.removesuffix(DIRECTION)) if quantity.endswith(DIRECTION) else None
         return 1 if joint is None else joint.sign
+
+    @property
+    def traits(self) -> Kind:
+        """Its kind's row of the table of kinds."""
+        return KINDS[self.kind]
 
     @property
     def title(self) -> str:
@@ -420,28 +422,28 @@ class MeasurementSettings(Section):
     def needs(self) -> set[str]:
         """Columns without which a table is none of this block, beside the joints."""
         names: tuple[str, ...]
-        if self.kind in OF_TARGETS:
+        if self.traits.tracked:
             own = (
                 self.orientation.columns
                 or self.orientation.rotvec
                 or self.orientation.matrix
                 or ("qx", "qy", "qz", "qw")
             )
-            names = ("x", "y", "z", *(own if self.kind == "pose" else ()))
+            names = ("x", "y", "z", *(own if self.traits.oriented else ()))
         else:
-            kind = KINDS[self.kind]
+            kind = self.traits
             labels = [role.name for role in kind.roles if role.name in (*LABELLED, "plane")]
-            names = (*(() if self.kind == "plane" else kind.read), *labels)
+            names = (*(() if kind.gauges else kind.read), *labels)
         return {self.columns.get(name, name) for name in names}
 
     @property
     def own_columns(self) -> tuple[str, ...]:
         """Quantities of its kind beside joints, poses and covariates."""
-        if self.kind == "camera_sonar":
+        kind = self.traits
+        if kind.of_head:
             return ()
-        if self.kind in OF_TARGETS:
+        if kind.tracked:
             return (TARGET,)
-        kind = KINDS[self.kind]
         labels = [role.name for role in kind.roles if role.name != "board"]  # which board it is, the camera says
         more = () if kind.bare else (TARGET,)
-        return (*kind.read, *labels, *((SHOT,) if self.kind == "pixels" else more))
+        return (*kind.read, *labels, *((SHOT,) if kind.images else more))

@@ -291,7 +291,7 @@ class Source:
         if noise.rows == "ignore":
             return None
         wanted: list[tuple[slice, Literal["length", "angle"]]] = [(slice(0, 3), "length"), (slice(3, 6), "angle")]
-        wanted = wanted[:1] if self.settings.kind == "position" else wanted
+        wanted = wanted[:1] if self.settings.traits.place_alone else wanted
         std = np.ones((len(self.table), 6))
         given = 0
         for half, of in wanted:

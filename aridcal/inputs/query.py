@@ -140,11 +140,11 @@ def load_query(
     source = Source(table, settings, tuple(readings), table.title, stated)
     q = source.seeds(kinds) if poses else source.joints(kinds)
     position, quaternion = None, None
-    if poses and settings.kind != "position":
+    if poses and not settings.traits.place_alone:
         position, quaternion = source.pose()
     elif poses:
         position = source.position()
-    if settings.kind != "position":
+    if not settings.traits.place_alone:
         source.refuse_second_orientation()
     if per_station and label == "target":
         table.require([source.column(label)], "this calibration has several targets: name one in each row")
@@ -205,7 +205,7 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
 def _refuse_text(source: Source, poses: bool) -> None:
     """Refuse a table with words among its joints or poses: an empty cell asks for nothing, a word is a slip."""
     wanted = [source.column(name) for name in POSITION] if poses else []
-    wanted += source.orientation_columns if poses and source.settings.kind != "position" else []
+    wanted += source.orientation_columns if poses and not source.settings.traits.place_alone else []
     for name in (*source.joint_columns, *wanted):
         if name in source.table.cells:
             _, is_text = source.table.numbers(name)

@@ -22,7 +22,7 @@ from aridcal.inputs.checks import (
     stale_rows,
 )
 from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
-from aridcal.inputs.measurement_settings import LABELLED, OF_TARGETS, SHOT, TARGET, MeasurementSettings
+from aridcal.inputs.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
@@ -31,6 +31,7 @@ from aridcal.inputs.split import draw_split, with_training_labels, with_training
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
+from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import turned
 from aridcal.instruments.setup import Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
@@ -45,6 +46,13 @@ TIP = "tip"
 
 ONE_TARGET = "target"
 """Label of the target of rows that name none, where others do."""
+
+
+def own_target(kind: Kind, title: str) -> str:
+    """Label of the target of a block's rows that name none: links themselves, a level's own frame, or the only one."""
+    if kind.bare:
+        return TIP
+    return title if kind.level else ONE_TARGET
 
 
 @dataclass(frozen=True)
@@ -155,10 +163,10 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
     q = source.joints(kinds) if asked.robot is None else np.zeros((len(table), len(kinds)))
-    of_target = asked.require_pose and settings.kind in OF_TARGETS
+    of_target = asked.require_pose and settings.traits.tracked
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
-        if settings.kind == "pose":
+        if settings.traits.oriented:
             position, quaternion = source.pose()
             source.refuse_second_orientation()
         else:
@@ -171,7 +179,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     observed = position if of_target or plain else _observed(source)
     refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
     if not (of_target or plain):
-        camera = refers[:, 0] if settings.kind == "pixels" else None
+        camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
@@ -286,11 +294,12 @@ def _words(source: Source, quantity: str) -> np.ndarray | None:
 
 def _observed(source: Source) -> np.ndarray:
     """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
-    settings, names = source.settings, KINDS[source.settings.kind].read
+    settings, kind = source.settings, source.settings.traits
+    names = kind.read
     cells = [source.column(name) for name in names]
-    of_length = settings.kind in ("distance", "plane")
+    of_length = kind.ranges or kind.gauges
     scale = [settings.units.scale(name, "length") if of_length else 1.0 for name in cells]
-    if settings.kind == "plane" and not source.has(cells[0]):
+    if kind.gauges and not source.has(cells[0]):
         return np.zeros((len(source.table), 1))
     source.table.require(cells, f"`kind: {settings.kind}` needs {' '.join(names)}; map them under measurements.columns")
     if SHOT in settings.own_columns:
@@ -364,7 +373,7 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
         MeasurementError: a table calls a target of its own what the tip is called.
     """
     label = rows.target if rows.target is not None else np.full(len(rows), "", dtype=str)
-    own = {block.title: _own_target(block) for block in campaign.blocks}
+    own = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
     if rows.target is None and len(set(own.values())) == 1:
         return rows
     if TIP in label and TIP in own.values():
@@ -379,13 +388,6 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
             "delete it, or measure the stations in campaigns of their own"
         )
     return replace(rows, target=told)
-
-
-def _own_target(block: MeasurementSettings) -> str:
-    """Label of the target of rows that name none: links themselves, a level's own frame, or the only one."""
-    if KINDS[block.kind].bare:
-        return TIP
-    return block.title if block.kind == "inclination" else ONE_TARGET
 
 
 def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:

@@ -23,7 +23,7 @@ from aridcal.inputs.instrument_settings import (
     Placement,
     PlaneSettings,
 )
-from aridcal.inputs.measurement_settings import FAR, OF_TARGETS
+from aridcal.inputs.measurement_settings import FAR
 from aridcal.inputs.yaml_file import LARGEST
 from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind, Role
@@ -227,7 +227,7 @@ def with_trackers(
     """
     taken = {*joints, *np.unique(refers).tolist()}
     own = [f"block {b.name}" if b.name in taken or RESERVED.fullmatch(b.name) else b.name for b in blocks]
-    label = np.array([name if b.kind in OF_TARGETS else "" for name, b in zip(own, blocks, strict=True)])[block]
+    label = np.array([name if b.traits.tracked else "" for name, b in zip(own, blocks, strict=True)])[block]
     return np.column_stack([np.where(label != "", label, refers[:, 0]), refers[:, 1:]])
 
 
@@ -389,7 +389,7 @@ def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]
 
 def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
     """True where anything is known in the world frame, or was measured in it."""
-    if any(rows.kind.name in OF_TARGETS for rows in blocks):
+    if any(rows.kind.tracked for rows in blocks):
         return True
     place = {
         "point": slice(0, 3),

@@ -77,4 +77,5 @@ INCLINED = Kind(
     derivatives=_seen,
     located=None,
     turns=True,
+    level=True,
 )

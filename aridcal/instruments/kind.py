@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from aridcal.instruments.channels import Channels
+from aridcal.instruments.channels import LENGTH, Channels
 
 States = Sequence[np.ndarray]
 """State of each thing that the rows refer to, one array of shape (n, P) for each role of a kind."""
@@ -99,6 +99,8 @@ class Kind:
             are then the readings of the joints.
         places: True where a row measures the target's own place in the world.
         bare: True where the target is the end of the row's path itself, a link's own frame: nothing of it is unknown.
+        images: True where rows are marks in images, many of which show several: the cameras see the tip, or are on it.
+        level: True where a row tells the vertical alone, and no length: a sensor has a frame of its own on the tip.
         missing: Of rows that come from no table, and read as many numbers as they need: which of m numbers a row does not
             measure, (n, W) and m to (n, m) bool.
         noise: Covariances of a row's first numbers, from what it read and the states of its things: (n, W) to (n, k, k); None
@@ -117,8 +119,55 @@ class Kind:
     condition: bool = False
     places: bool = False
     bare: bool = False
+    images: bool = False
+    level: bool = False
     missing: Callable[[np.ndarray, int], np.ndarray] | None = None
     noise: Callable[[np.ndarray, States], np.ndarray] | None = None
+
+    @property
+    def of_head(self) -> bool:
+        """True of shots of a measuring head: its files say what was read, and no table of rows."""
+        return self.missing is not None
+
+    @property
+    def tracked(self) -> bool:
+        """True where a tracker gives the target's place in a table's own columns, whatever else stands around."""
+        return self.places and not self.of_head
+
+    @property
+    def oriented(self) -> bool:
+        """True where a tracker gives the target's place and orientation."""
+        return self.tracked and self.turns
+
+    @property
+    def place_alone(self) -> bool:
+        """True where a tracker gives the target's place and no orientation."""
+        return self.tracked and not self.turns
+
+    @property
+    def joins(self) -> bool:
+        """True where two links hold one body, which a block names."""
+        return self.bare and not self.images
+
+    @property
+    def touches(self) -> bool:
+        """True where a point of the target is held in place, and nothing is read."""
+        return self.condition and not self.read and not self.turns
+
+    @property
+    def gauges(self) -> bool:
+        """True where a gauge reads how far a condition is missed, if it reads anything."""
+        return self.condition and bool(self.read)
+
+    @property
+    def ranges(self) -> bool:
+        """True where a length is read that no condition holds at nothing."""
+        return self.channels == (LENGTH,) and not self.condition
+
+    @property
+    def anywhere(self) -> bool:
+        """True where any configuration can be measured: nothing must be touched, and nothing be in sight."""
+        return not (self.condition or self.images or self.of_head)
 
     def numbers(self, observed: np.ndarray) -> np.ndarray:
         """What its rows read, shape (n, W), of numbers that are as many as the widest kind reads."""

@@ -282,4 +282,5 @@ PIXELS = Kind(
     located=_located,
     bare=True,
     turns=True,
+    images=True,
 )

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels
-from aridcal.instruments.kind import Role
+from aridcal.instruments.kind import Kind, Role
 
 
 @dataclass(frozen=True)
@@ -130,3 +131,8 @@ class Block:
     channels: Channels
     sigma: tuple[float | None, ...]
     rows: Literal["relative", "absolute", "ignore"] = "relative"
+
+    @property
+    def traits(self) -> Kind:
+        """Its kind's row of the table of kinds."""
+        return KINDS[self.kind]

@@ -12,6 +12,7 @@ from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, MeasurementSett
 from aridcal.inputs.orientations import QUATERNION, normalised, own_orientation, turned
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.tables import read_tables
+from aridcal.instruments.catalogue import KINDS
 from aridcal.logs.log import Log
 from aridcal.logs.pairs import resolution
 from aridcal.prepare.guesses import Asker
@@ -65,7 +66,8 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
     except MeasurementError as problem:
         raise MeasurementError(str(problem).replace("DataFrame", tracker.title)) from None
     said = {guess.key: guess.value for guess in proposal.guesses}
-    if said.get("measurements.kind") not in ("pose", "position"):
+    kind = KINDS.get(said.get("measurements.kind", ""))
+    if kind is None or not kind.tracked:
         raise MeasurementError(
             f"{tracker.title}: holds no positions of a target; merge joins joints and positions or poses"
         )
@@ -97,10 +99,10 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
     )
     place = tuple(renamed.get(name, name) for name in POSITION)
     own = own_orientation(settings) or tuple(renamed.get(name, name) for name in QUATERNION)
-    needed = place if settings.kind == "position" else (*place, *own)
+    needed = place if settings.traits.place_alone else (*place, *own)
     log = tracker.keep(np.isfinite(tracker.of(needed)).all(axis=1), "without an orientation: left out")
     quaternion, steps = None, resolution(log.of(place)) * settings.units.metres
-    if settings.kind == "pose":
+    if settings.traits.oriented:
         finest = float(resolution(log.of(own)).max())
         turn = (
             2.0 if len(own) == 4 else 1.0 if len(own) == 9 else settings.units.scale(own[0], "angle")

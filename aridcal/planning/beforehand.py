@@ -17,7 +17,6 @@ from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import ROLES, Dataset, dataset
 from aridcal.inputs.instrument_settings import TIP
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
@@ -34,7 +33,7 @@ from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
-PLANNED = ("pose", "position", "point", "distance", "plane", "pixels", "inclination")
+PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
 these are found in the image: that is known of images only."""
 
@@ -134,7 +133,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
-    remarks = (ANGLES_ALONE,) if kind == "inclination" else ()
+    remarks = (ANGLES_ALONE,) if KINDS[kind].level else ()
     if not missing:
         found = _measured(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
         return replace(found, notices=(*remarks, *found.notices))
@@ -244,7 +243,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     labels = _targets(campaign, robot)
     refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
     middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
-    poses = settings.kind == "pose"
+    poses = settings.traits.oriented
     rotation = np.tile(np.eye(3), (len(refers), 1, 1)) if poses else None
     rows = dataset(robot.readings, robot.kinds, np.tile(middle, (len(refers), 1)), np.zeros((len(refers), 3)), rotation)
     kind = KINDS[settings.kind]
@@ -254,7 +253,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     directions = tuple(f"{name}_direction" for name in robot.readings)
     middle_of_play = dict.fromkeys(directions, np.zeros(len(refers)))
     rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()), covariates=middle_of_play, derived=directions)
-    if labels or settings.kind not in OF_TARGETS:
+    if labels or not settings.traits.tracked:
         blocks = (Block(settings.title, settings.kind, channels, rows.sigma),)
         block = np.zeros(len(refers), dtype=int)
         refers = with_trackers(refers, blocks, block, robot.readings)
@@ -325,14 +324,14 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
 def _referred(campaign: Campaign, known: Known) -> np.ndarray:
     """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
     settings, declared = campaign.measurements, campaign.instruments.declared
-    kind = settings.kind
-    if kind in OF_TARGETS or not KINDS[kind].roles:
+    kind = settings.traits
+    if kind.tracked or not kind.roles:
         found = [("", "", "")]
-    elif kind == "pixels":
+    elif kind.images:
         cameras = [settings.camera] if settings.camera else list(declared["camera"])
         found = [(camera, known.board_of(camera, marker), marker) for camera in cameras for marker in known.markers]
     else:
-        role = KINDS[kind].roles[0].name
+        role = kind.roles[0].name
         found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]
     if not found:
         raise _nothing_said(campaign)

@@ -10,9 +10,8 @@ import numpy as np
 from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import OF_TARGETS
-from aridcal.instruments.inclination import DOWN, INCLINED
-from aridcal.instruments.pixels import PIXELS, ends_of_sight, faces, in_image
+from aridcal.instruments.inclination import DOWN
+from aridcal.instruments.pixels import ends_of_sight, faces, in_image
 from aridcal.model.measured import rows_of_data
 from aridcal.model.reaching import Miss, brought, draw_readings, off_the_limits
 from aridcal.planning.beforehand import Beforehand
@@ -90,8 +89,8 @@ class Candidates:
 def offers(known: Beforehand) -> Offers:
     """What one configuration may measure: a target, a touch of a point, all markers in one image."""
     rows = known.patterns
-    n, kind = len(rows), known.campaign.measurements.kind
-    if kind == "pixels":
+    n, kind = len(rows), known.campaign.measurements.traits
+    if kind.images:
         cameras = rows.refers[:, 0]
         names = np.unique(cameras)
         return Offers(
@@ -99,9 +98,9 @@ def offers(known: Beforehand) -> Offers:
         )
     titles: list[dict[str, str]] = []
     for k in range(n):
-        own = {} if rows.target is None or kind not in OF_TARGETS else {"target": str(rows.target[k])}
-        if rows.blocks and rows.refers[k, 0] and kind not in OF_TARGETS:
-            own = {{"point": "point", "distance": "anchor", "plane": "plane"}[kind]: str(rows.refers[k, 0])}
+        own = {} if rows.target is None or not kind.tracked else {"target": str(rows.target[k])}
+        if rows.blocks and rows.refers[k, 0] and not kind.tracked:
+            own = {kind.roles[0].name: str(rows.refers[k, 0])}
         own |= {} if rows.station is None else {"station": str(rows.station[k])}
         titles.append(own)
     return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
@@ -116,12 +115,12 @@ def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> D
         pattern: Number of each row's pattern, shape (N,).
     """
     made = replace(known.patterns.select(pattern), readings=readings)
-    kind = known.campaign.measurements.kind
-    if not made.blocks or kind not in (*OF_TARGETS, INCLINED.name):
+    kind = known.campaign.measurements.traits
+    if not made.blocks or not (kind.tracked or kind.level):
         return made
     # turns are compared with what was seen
     R, p = known.model.poses(known.theta, rows_of_data(known.model, made, readings))
-    seen = np.swapaxes(R, 1, 2) @ DOWN if kind == INCLINED.name else np.hstack([p, R.reshape(-1, 9)])
+    seen = np.swapaxes(R, 1, 2) @ DOWN if kind.level else np.hstack([p, R.reshape(-1, 9)])
     return replace(made, observed=_as_wide(seen, made.observed.shape[1]))
 
 
@@ -256,17 +255,18 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
 def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """Readings with which the target is where a measurement of one pattern needs it, shape (count, columns)."""
     rows = known.patterns
-    kind = known.campaign.measurements.kind
-    if kind not in ("point", "plane"):
+    kind = known.campaign.measurements.traits
+    if not (kind.touches or kind.gauges):
         return draw_readings(known.robot, count, rng, off_the_limits)
-    things = known.model.instruments.things[kind]
+    role = kind.roles[0].name
+    things = known.model.instruments.things[role]
     number = things.names.index(str(rows.refers[pattern, 0]))
-    state: np.ndarray = known.model.states.get(kind, things.start)[number]
+    state: np.ndarray = known.model.states.get(role, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        return p - state if kind == "point" else p @ state[:3, None] - state[3]
+        return p - state if kind.touches else p @ state[:3, None] - state[3]
 
-    advice = f"move {kind} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
+    advice = f"move {role} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
     return reaching(known, pattern, miss, count, rng, advice)
 
 
@@ -284,12 +284,15 @@ def reaching(
 def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarray:
     """Which of an offer's patterns each configuration measures, shape (n, patterns) bool."""
     n, m = len(readings), len(own)
-    if known.campaign.measurements.kind != "pixels" or n == 0:
+    if not known.campaign.measurements.traits.images or n == 0:
         return np.ones((n, m), dtype=bool)
     asked = problem(known.model, rows_like(known, np.repeat(readings[:1], m, axis=0), own))
     assert asked.measured is not None
     refers = asked.measured.refers
-    states = [np.tile(asked.states[role.name][refers[:, k]], (n, 1)) for k, role in enumerate(PIXELS.roles)]
+    states = [
+        np.tile(asked.states[role.name][refers[:, k]], (n, 1))
+        for k, role in enumerate(known.campaign.measurements.traits.roles)
+    ]
     R, p = (np.repeat(each, m, axis=0) for each in targets_of(known, readings, np.full(n, own[0])))
     camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)

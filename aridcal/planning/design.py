@@ -30,9 +30,6 @@ POOL, SMALL_POOL = 3000, 1000
 """Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
 by a per cent."""
 
-EASY = ("pose", "position", "distance", "inclination")
-"""Kinds that can be measured in any configuration."""
-
 RANDOM = 100
 """Random choices that the best one is set beside."""
 
@@ -126,7 +123,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     seeds = np.random.SeedSequence(asked.seed).spawn(5)
     drawing, choosing, chance, moving, coming = (np.random.default_rng(s) for s in seeds)
     progress("drawing configurations")
-    easy = known.campaign.measurements.kind in EASY
+    easy = known.campaign.measurements.traits.anywhere
     pool = POOL if asked.n <= FEW and easy else SMALL_POOL
     candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
     known = with_stated_effects(known, candidates)

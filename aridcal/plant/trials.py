@@ -15,7 +15,6 @@ import numpy as np
 from aridcal.errors import AridcalError, CampaignError, nearest
 from aridcal.inputs.campaign import Campaign, Job
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.purposes import StudySettings
 from aridcal.inputs.quantities import POSITION, column_of
 from aridcal.inputs.yaml_file import load_settings
@@ -105,7 +104,7 @@ def _check(job: Scenario | Campaign, study: StudySettings) -> None:
         if study.rows:
             raise CampaignError(f"{job.path}: study.rows: a campaign is calibrated from halves of its rows; delete it")
         return
-    if job.measurements.kind == "camera_sonar":
+    if job.measurements.traits.of_head:
         raise CampaignError(f"{job.path}: `kind: camera_sonar` is not studied; its poses are, as `kind: pose`")
     if study.effect and not study.sizes:
         raise CampaignError(f"{job.path}: study.effect: says which effect `sizes` are of; add them, or delete it")
@@ -237,7 +236,7 @@ def _true_error(scenario: Scenario, truth: Truth, outcome: Outcome) -> float | N
 
     The same machine at the same configurations, measured without noise, says where the target really was.
     """
-    if scenario.refers or scenario.measurements.kind not in OF_TARGETS:
+    if scenario.refers or not scenario.measurements.traits.tracked:
         return None
     exact = simulate(_with(scenario, truth.model_copy(update={"noise": TrueNoise(), "outliers": None})))
     rows, mask = outcome.measurements, scored(outcome)[0]

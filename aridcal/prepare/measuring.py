@@ -17,9 +17,9 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights, sights_from
 from aridcal.errors import CampaignError
 from aridcal.inputs.instrument_settings import WORLD, TargetSettings
-from aridcal.inputs.measurement_settings import OF_TARGETS, SHOT, TARGET, MeasurementSettings
+from aridcal.inputs.measurement_settings import SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.orientations import POSITION, QUATERNION
-from aridcal.inputs.read import ONE_TARGET, TIP
+from aridcal.inputs.read import ONE_TARGET, TIP, own_target
 from aridcal.inputs.routes import routes_of
 from aridcal.inputs.things import Known, known_of
 from aridcal.instruments.catalogue import KINDS, labelled
@@ -149,10 +149,10 @@ class Rows:
             real: The things as they are.
             noise: Of the rows' residuals, shape (n, m), [m].
         """
-        if self.kind.name == "point":
+        if self.kind.touches:
             (place,) = self.states(real)
             return lambda R, p, rows: p + noise[rows] - place[rows]
-        if self.kind.name == "plane":
+        if self.kind.gauges:
             (plane,) = self.states(real)
             height = plane[:, 3:] - noise + self.stroke[:, None]
             return lambda R, p, rows: np.sum(plane[rows, :3] * p, axis=1, keepdims=True) - height[rows]
@@ -187,14 +187,12 @@ def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
 
 def _own(scenario: Scenario, block: MeasurementSettings) -> list[str]:
     """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
-    taken = [other.title for other in scenario.blocks if other.kind == "inclination"]
-    taken += [other.target for other in scenario.blocks if other.target is not None]
-    if block.kind == "pixels":
-        return [TIP]
+    if block.traits.images or (block.traits.level and block.target is None):
+        return [own_target(block.traits, block.title)]
     if block.target is not None:
         return [block.target]
-    if block.kind == "inclination":
-        return [block.title]
+    taken = [other.title for other in scenario.blocks if other.traits.level]
+    taken += [other.target for other in scenario.blocks if other.target is not None]
     every = dict.fromkeys((*scenario.instruments.targets, *scenario.truth.frames.targets))
     return [name for name in every if name not in taken] or [ONE_TARGET]
 
@@ -217,21 +215,21 @@ def measured(
     truth, robot = scenario.truth, machine.robot
     own = configurations.spawn(len(scenario.blocks) + 1)
     known, things = known_of(scenario), truth.instruments
-    of_role = dict(zip(("point", "anchor", "plane", "pixels", "link"), of_things.spawn(5), strict=True))
+    of_role = dict(zip(("point", "anchor", "plane", "camera", "link"), of_things.spawn(5), strict=True))
     around_things = _around_things(scenario, machine, own[-1], of_role["link"])
     drawn = {
-        "point": lambda: {"point": true_points(things, known, around_things, of_role["point"])},
-        "distance": lambda: {"anchor": true_anchors(things, known, around_things, of_role["anchor"])},
-        "plane": lambda: {"plane": true_planes(things, known, around_things, of_role["plane"])},
+        "point": lambda rng: true_points(things, known, around_things, rng),
+        "anchor": lambda rng: true_anchors(things, known, around_things, rng),
+        "plane": lambda rng: true_planes(things, known, around_things, rng),
     }
-    trackers = tuple(block.title for block in scenario.blocks if block.kind in OF_TARGETS)
+    trackers = tuple(block.title for block in scenario.blocks if block.traits.tracked)
     faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
     real: dict[str, Real] = {}
-    for kind in dict.fromkeys(block.kind for block in scenario.blocks):
-        real |= drawn[kind]() if kind in drawn else {}
+    for role in dict.fromkeys(role.name for block in scenario.blocks for role in block.traits.roles):
+        real |= {role: drawn[role](of_role[role])} if role in drawn else {}
     seen: Sight | None = None
-    if any(block.kind == "pixels" for block in scenario.blocks):
-        rng = of_role["pixels"]
+    if any(block.traits.images for block in scenario.blocks):
+        rng = of_role["camera"]
         seen = sight(things, known, _tips(known, machine), lambda n: draw_readings(robot, n, rng), rng)
         real |= seen.real
     every = real | faultless
@@ -293,7 +291,7 @@ def _begun(
         chains = of.chains(bare)
         return lambda readings, some: chains.poses(theta, of.seen_by(chains, readings, some=some))
 
-    if seen is not None and kind.name == "pixels":
+    if seen is not None and kind.images:
         names = seen.real["camera"].names
         own = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
         camera = np.array(own)[np.arange(n) % len(own)]
@@ -307,10 +305,10 @@ def _begun(
     shot = np.arange(n)
     count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
     refers = (shot % count)[:, None][:, : len(kind.roles)]
-    if kind.name in OF_TARGETS:
+    if kind.tracked:
         refers = np.full((n, 1), real[TRACKER.name].names.index(block.title))
     target = np.array(labels)[shot // count % len(labels)]
-    gauge = truth.instruments.gauge if kind.name == "plane" else 0.0
+    gauge = truth.instruments.gauge if kind.gauges else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
     rows = rows.along(known, real, machine.robot.tip)
     miss = rows.miss(real, np.zeros((n, 1)))
@@ -444,22 +442,22 @@ def _read(
 ) -> dict[str, np.ndarray]:
     """What the instrument reads, by the names of the columns."""
     kind = rows.kind
-    if kind.name in OF_TARGETS:
+    if kind.tracked:
         found = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
-        if kind.name == "pose":
+        if kind.oriented:
             turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             found |= dict(zip(QUATERNION, turned.as_quat(canonical=True).T, strict=True))
         return found
-    if kind.name == "inclination":
+    if kind.level:
         down = np.einsum("nji,j->ni", R, DOWN)
         side = np.cross(down, np.eye(3)[np.argmin(np.abs(down), axis=1)])
         side /= np.linalg.norm(side, axis=1, keepdims=True)
         off = errors[:, :1] * side + errors[:, 1:] * np.cross(down, side)
         return dict(zip(kind.read, (down + off).T, strict=True))
-    if kind.name == "plane" and not rows.stroke.any():
+    if kind.gauges and not rows.stroke.any():
         return {}
     nothing = np.zeros((len(p), len(kind.read)))
-    predicted = nothing if kind.name == "point" else -kind.residual(R, p, nothing, rows.states(real))
+    predicted = nothing if kind.touches else -kind.residual(R, p, nothing, rows.states(real))
     return dict(zip(kind.read, (predicted + errors[:, : len(kind.read)]).T, strict=True))
 
 
@@ -479,7 +477,7 @@ def _table(
         told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
         if told:
             values[role.name] = rows.labels(role.name, real)
-    if rows.kind.name == "pixels":
+    if rows.kind.images:
         values[SHOT] = rows.shot + 1
     elif len(_own(scenario, block)) > 1:
         values[TARGET] = rows.target

@@ -228,7 +228,7 @@ def _spread(rows: Dataset) -> float:
 
 def _others(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """Every reading that one slip would hide."""
-    if settings.kind == "pose":
+    if settings.traits.oriented:
         yield from _orientations(settings, robot, table)
     yield from _units(settings, robot, table)
     yield from _joints(settings, robot, table)

@@ -10,7 +10,6 @@ import numpy as np
 from aridcal.errors import CampaignError
 from aridcal.inputs.instrument_settings import WORLD, Carrier
 from aridcal.inputs.things import BOARD, Known
-from aridcal.instruments.pixels import PIXELS as KIND
 from aridcal.instruments.pixels import faces, in_image
 from aridcal.prepare.true_things import (
     AROUND,
@@ -97,8 +96,8 @@ class Sight:
 
     def states(self, camera: np.ndarray, board: int, marker: np.ndarray) -> list[np.ndarray]:
         """States of cameras, their board and markers, by their numbers."""
-        numbers = (camera, np.full(len(camera), board), marker)
-        return [self.real[role.name].states[k] for role, k in zip(KIND.roles, numbers, strict=True)]
+        numbers = {"camera": camera, "board": np.full(len(camera), board), "marker": marker}
+        return [self.real[role].states[k] for role, k in numbers.items()]
 
 
 def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:

@@ -10,7 +10,6 @@ from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.labels import STATION
 from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import Job
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.yaml_file import Section, Vector3
 from aridcal.prepare.true_effects import Parameter, TrueEffect, given
 from aridcal.prepare.true_things import TrueThings
@@ -81,7 +80,7 @@ class Scenario(Job):
     @property
     def refers(self) -> bool:
         """True where rows refer to things, or to one of several targets: not where they are poses of the only one."""
-        plain = len(self.blocks) == 1 and self.measurements.kind in (*OF_TARGETS, "camera_sonar")
+        plain = len(self.blocks) == 1 and self.measurements.traits.places
         named = self.truth.frames.targets or self.instruments.targets or self.instruments.links
         return not plain or bool(named)
 
@@ -96,7 +95,7 @@ def check_scenario(scenario: Scenario) -> None:
     measurements, truth = scenario.measurements, scenario.truth
     refused = {
         "truth.frames.targets": (
-            measurements.kind == "camera_sonar" and bool(truth.frames.targets),
+            measurements.traits.of_head and bool(truth.frames.targets),
             "`kind: camera_sonar` has its target at the tip; delete this key",
         ),
         "truth.instruments": (
@@ -108,7 +107,7 @@ def check_scenario(scenario: Scenario) -> None:
             "these are cameras under `instruments`; name the same",
         ),
         "measurements.head": (
-            measurements.kind == "camera_sonar" and measurements.head is None,
+            measurements.traits.of_head and measurements.head is None,
             "`kind: camera_sonar` needs it: `head: head.yaml`",
         ),
         "truth.noise": (

@@ -380,7 +380,7 @@ def _table(
     settings = scenario.measurements
     joints = dict(zip(robot.readings, readings.T, strict=True))
     measured = dict(zip(POSITION, position.T, strict=True))
-    if settings.kind == "pose":
+    if settings.traits.oriented:
         measured |= dict(zip(QUATERNION, rotation.as_quat(canonical=True).T, strict=True))
     measured |= covariates
     columns = [settings.columns.get(name, name) for name in joints]

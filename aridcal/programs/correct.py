@@ -107,7 +107,7 @@ class _Arm:
     def real(self) -> InverseRows:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
         expected, nominal = self.saved.expected, self.controller.inverse
-        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.kind == "pose" else LEVER
+        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else LEVER
         return InverseRows(
             ArmRows(expected.model, expected.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
         )
@@ -129,7 +129,7 @@ class _Arm:
     def _allowed(self) -> tuple[float, float]:
         """What a pose may be missed by that counts as reached, [m] and [rad] times the lever."""
         lean = len(self.real.low) < 6
-        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.kind == "pose" else self.saved.noise[0] / LEVER
+        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / LEVER
         position, rotation = (UNAVOIDABLE if lean else max(sigma, FINEST) for sigma in noise)
         return position, rotation * self.real.lever
 

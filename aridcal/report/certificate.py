@@ -26,7 +26,6 @@ from aridcal.drawing.words import (
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
-from aridcal.instruments.camera_sonar import CAMERA_SONAR
 from aridcal.instruments.catalogue import KINDS
 from aridcal.report.first_screen import VERDICTS
 from aridcal.report.iso_section import lines, what_was_made
@@ -366,7 +365,7 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
 
 def _joined(m: Dataset) -> str:
     """How the hash of several files is made, and what it leaves out."""
-    if any(block.kind == CAMERA_SONAR.name for block in m.blocks):
+    if any(block.traits.of_head for block in m.blocks):
         return " (without its images)"
     if len(m.blocks) > 1:
         return " (of the blocks' hashes)"

@@ -12,7 +12,6 @@ from aridcal.drawing.html import Content, Html, bullets, counted, figures, numbe
 from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS, labelled
-from aridcal.instruments.pixels import PIXELS
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics
@@ -88,7 +87,7 @@ def _repeats(outcome: Outcome) -> Content:
         nothing = (
             "Nothing was measured twice at one configuration" if several else "No configuration was measured twice"
         )
-        images = any(block.kind == PIXELS.name for block in outcome.measurements.blocks)
+        images = any(block.traits.images for block in outcome.measurements.blocks)
         marks = " (several marks in one image repeat nothing: a second image there would)" if images else ""
         return tag(
             "p",

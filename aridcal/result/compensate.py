@@ -90,7 +90,7 @@ def compensate(
         table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
     table["reached"] = [command.reached for command in found]
     table["position_error"] = [command.position_error / units.metres for command in found]
-    if saved.kind == "pose":
+    if saved.turns:
         table["rotation_error"] = [command.rotation_error / units.radians for command in found]
     commanded = replace(query, readings=readings, covariates=covariates)
     table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))

@@ -235,10 +235,9 @@ def known_scale(rows: Dataset) -> float | None:
         0 where an instrument measures lengths itself, or sees a board of known size; of points the standard deviation of all
         known lengths over these; infinite where no length is known; None where nothing measured has a length.
     """
-    kinds = {block.kind for block in rows.blocks}
-    if not rows.blocks or "distance" in kinds or any(KINDS[kind].places for kind in kinds) or _gauged(rows):
+    if not rows.blocks or any(block.traits.ranges or block.traits.places for block in rows.blocks) or _gauged(rows):
         return 0.0
-    if kinds == {"inclination"}:
+    if all(block.traits.level for block in rows.blocks):
         return None
     weight = sum((tie.value / tie.std) ** 2 for tie in rows.instruments.ties if tie.form == "distance")
     for role in ("point", "marker"):
@@ -280,7 +279,7 @@ def scale_std(fit: Fit, train: Dataset) -> float | None:
 
 def _gauged(rows: Dataset) -> bool:
     """True if rows of planes read a gauge: lengths."""
-    planes = [b for b, block in enumerate(rows.blocks) if block.kind == "plane"]
+    planes = [b for b, block in enumerate(rows.blocks) if block.traits.gauges]
     return bool(np.any(rows.observed[np.isin(rows.block, planes), :1]))
 
 

@@ -209,7 +209,7 @@ def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFr
             query.readings[known], covariates, None if query.station is None else query.station[known]
         )
         told = np.zeros(len(known), dtype=bool)
-        told[known] = told_of(final.model, final.theta, saved.untold, rows, saved.kind == "pose")
+        told[known] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
         table["told"] = told
     return table
 
@@ -232,7 +232,7 @@ def pose_columns(
     R, p = other_way(R, p, settings.inverted)
     names = [column_of(name, settings, joints) for name in POSITION]
     columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
-    if settings.kind == "position":
+    if settings.traits.place_alone:
         return columns
     numbers = orientations(R, settings)
     return columns | dict(zip(orientation_columns(settings, joints), numbers.T, strict=True))
@@ -251,7 +251,7 @@ def std_columns(std: np.ndarray, settings: MeasurementSettings, joints: tuple[st
     """
     units, names = settings.units, _std_names(settings, joints)
     scaled = std / [units.scale(name, "length" if k < 3 else "angle") for k, name in enumerate(names)]
-    count = 3 if settings.kind == "position" else 6
+    count = 3 if settings.traits.place_alone else 6
     return dict(zip(names[:count], scaled.T, strict=False))
 
 
@@ -419,7 +419,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     Raises:
         AridcalError: a column is missing, or the point turns with a target whose rotation was never measured.
     """
-    if any(tool) and saved.kind == "position":
+    if any(tool) and not saved.turns:
         raise MeasurementError(
             "`tool`: only the target's position was measured, and nothing is known of a point beside it: measure poses, or put "
             "the target where the tool works"
@@ -438,7 +438,7 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
         **dict(zip(("worst_x", "worst_y", "worst_z"), way.T, strict=True)),
         "rms_mm": 1e3 * np.sqrt(np.maximum(np.einsum("nii->n", covariance[:, :3, :3]), 0.0)),
     }
-    if saved.kind == "pose":
+    if saved.turns:
         columns["rotation_mrad"] = 1e3 * worst_direction(covariance[:, 3:, 3:])[0]
     table = query.table.copy()
     for name, values in columns.items():

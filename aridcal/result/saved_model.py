@@ -344,6 +344,11 @@ class SavedModel:
             pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), {**self.assumed, **(covariates or {})}
         )
 
+    @property
+    def turns(self) -> bool:
+        """True if the target's rotation was measured, not its position alone."""
+        return KINDS[self.kind].turns
+
     def inverse_kinematics(self, station: str | None = None) -> InverseKinematics:
         """Readings for wanted poses at a station; made once for each."""
         if station not in self._inverses:
@@ -351,7 +356,7 @@ class SavedModel:
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
             one_row = OneRowModel(self.expected.model, self.expected.theta, station)
             low, high = np.where(one_row.moves[:, None], robot.limits, (-np.inf, np.inf)).T
-            self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.kind == "pose", self.noise)
+            self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.turns, self.noise)
         return self._inverses[station]
 
     @cached_property

@@ -192,11 +192,19 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
         own = np.ones(len(m), dtype=bool) if m.target is None else np.isin(np.asarray(m.target), labels)
         return {m.blocks[b].kind for b in np.unique(m.block[own])}
 
+    def level_alone(measured: set[str]) -> bool:
+        return all(INSTRUMENTS[kind].level for kind in measured)
+
     # what instruments reach for comes before the tip that cameras see, and a place before an attitude
-    placed = tuple(label for label in every if label != TIP and kinds((label,)) != {"inclination"})
+    placed = tuple(label for label in every if label != TIP and not level_alone(kinds((label,))))
     labels = placed or tuple(label for label in every if label == TIP) or every
     measured = kinds(labels)
-    return _Target(labels, any(INSTRUMENTS[kind].turns for kind in measured), measured != {"inclination"}, head)
+    return _Target(
+        labels,
+        any(INSTRUMENTS[kind].turns for kind in measured),
+        not level_alone(measured),
+        head,
+    )
 
 
 def _asked_by(rows: Dataset, target: _Target) -> np.ndarray | None:

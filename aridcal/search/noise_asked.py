@@ -17,9 +17,7 @@ from aridcal.fit.problem import Problem, problem, scaled
 from aridcal.fit.residual import moved_by
 from aridcal.fit.standstills import Stack
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, columns
-from aridcal.instruments.distance import DISTANCE
 from aridcal.instruments.setup import Block
 from aridcal.search import noise_shapes
 from aridcal.search.noise_shapes import Seen, Shape
@@ -104,7 +102,7 @@ def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
     axes, turned = {}, {}
     position: tuple[object, str] | None = None
     for block, channel, part in _channels(rows):
-        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and (block is None or block.kind in OF_TARGETS):
+        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and (block is None or block.traits.tracked):
             axes[channel.name] = scaled(own[:, :, part], rows.relative)
             if channel.axes == TARGET_POSITION.axes:
                 position = block, channel.name
@@ -134,14 +132,14 @@ def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[t
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):
-        kind = None if block is None else block.kind
+        tracked = block is None or block.traits.tracked
         # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
-        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_POSITION.axes:
+        if tracked and channel.axes == TARGET_POSITION.axes:
             yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
-        if kind in (None, *OF_TARGETS) and channel.axes == TARGET_ROTATION.axes:
+        if tracked and channel.axes == TARGET_ROTATION.axes:
             sight = p / np.maximum(away, FLOOR)[:, None]
             yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
-        if kind == DISTANCE.name:
+        if block is not None and block.traits.ranges:
             yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
         if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
             yield "repeatability", channel.name, channel.unit, own[:, :, part]

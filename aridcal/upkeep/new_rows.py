@@ -17,10 +17,9 @@ from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.counting import check_joints
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.instrument_settings import InstrumentSettings
-from aridcal.inputs.measurement_settings import OF_TARGETS
 from aridcal.inputs.orientations import column_of
 from aridcal.inputs.quantities import POSITION
-from aridcal.inputs.read import ONE_TARGET, TIP, load_measurements
+from aridcal.inputs.read import ONE_TARGET, TIP, load_measurements, own_target
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.catalogue import KINDS
@@ -41,11 +40,6 @@ would make matrices that no computer solves beside changes of metres."""
 
 CAMPAIGNS = (".yaml", ".yml")
 """Endings of a campaign of new rows, beside tables."""
-
-OWN_TARGETS = {name: lambda title: TIP for name, kind in KINDS.items() if kind.bare} | {
-    "inclination": lambda title: title
-}
-"""Kinds whose target is none that a pose measures: cameras see the tip itself, a level has a frame of its own."""
 
 
 class NewMeasurements(Campaign):
@@ -164,7 +158,7 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
         check_joints(
             block, f"{path}: {asked.place(number)}", saved.final.model.robot.readings, saved.final.model.robot.kinds
         )
-    if any(block.kind == "camera_sonar" for block in asked.blocks):
+    if any(block.traits.of_head for block in asked.blocks):
         raise CampaignError(
             f"{path}: measurements.kind: camera_sonar is not read here; `aridcal measure` makes a table of poses from its "
             "images: name that, with `kind: pose`"
@@ -196,7 +190,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
     joints = [settings.columns.get(name, name) for name in robot.readings]
     names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
     several = saved.frames_by == "target"
-    referring = any(block.kind in REFERRING or block.kind == "inclination" for block in campaign.blocks)
+    referring = any(block.kind in REFERRING or block.traits.level for block in campaign.blocks)
     if not several and (places <= names or not referring):
         changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
         return campaign.model_copy(update=changes)
@@ -218,7 +212,7 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
     """
     known = [label for label, _ in saved.final.model.tip_target]
     if rows.target is None and rows.blocks and other:
-        names = [OWN_TARGETS.get(b.kind, lambda title: ONE_TARGET)(b.name) for b in rows.blocks]
+        names = [own_target(b.traits, b.name) for b in rows.blocks]
         rows = replace(rows, target=np.array(names)[rows.block])
     if rows.target is None and saved.frames_by == "target":
         several = listed([str(label) for label in known])
@@ -227,7 +221,7 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
         )
     if known != [None] or rows.target is None:
         return _plain(rows)
-    apart = {TIP, *(b.name for b in rows.blocks if b.kind == "inclination")}
+    apart = {TIP, *(b.name for b in rows.blocks if b.traits.level)}
     placed = sorted(set(rows.target.tolist()) - apart)
     if not other and len(placed) == 1:  # the calibration does not keep the name of its only target
         rows = replace(rows, target=np.where(rows.target == placed[0], ONE_TARGET, rows.target))
@@ -237,7 +231,7 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
 
 def _plain(rows: Dataset) -> Dataset:
     """Rows of one block that measure the pose or position of one target, as arrays of these."""
-    if len(rows.blocks) == 1 and rows.blocks[0].kind in OF_TARGETS and rows.target is None:
+    if len(rows.blocks) == 1 and rows.blocks[0].traits.tracked and rows.target is None:
         return replace(rows, blocks=())
     return rows
 
@@ -282,7 +276,8 @@ def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tai
     sigma, freedom = saved.scatter
     of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
     own = saved.record.get("scatter", {})
-    found = {(kind, name): (s, f, _tails(own.get(name, {}))) for name, s, f in of_target for kind in OF_TARGETS}
+    tracked = [name for name, kind in KINDS.items() if kind.tracked]
+    found = {(kind, name): (s, f, _tails(own.get(name, {}))) for name, s, f in of_target for kind in tracked}
     for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
         for name, part in channels.items():
             found[kind, name] = float(part["sigma"]), float(part["freedom"]), _tails(part)

@@ -145,7 +145,7 @@ def _predicted(saved: SavedModel) -> Dataset:
     readings = np.column_stack([drawn[name] for name in robot.readings])
     covariates = {name: drawn[name] for name in model.needs}
     R, p = saved.final.poses(readings, covariates, station)
-    turns = R if saved.kind == "pose" else None
+    turns = R if saved.turns else None
     rows = dataset(
         robot.readings, robot.kinds, readings, p, turns, sigma=saved.noise, covariates=covariates, station=station
     )

@@ -85,7 +85,7 @@ def telling(
     readings = _clear(saved)
     rows = _of_target(saved, unknowns, question, readings)
     _, _, J = model.jacobian(theta, rows)
-    sigma = np.repeat(saved.scatter[0], 3)[: 6 if saved.kind == "pose" else 3]
+    sigma = np.repeat(saved.scatter[0], 3)[: 6 if saved.turns else 3]
     J = J[:, : len(sigma)] / (question.times * np.maximum(sigma, LEAST))[:, None]
     named = likely(question)
     known = covariance_of(question, named)
