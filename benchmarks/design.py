@@ -24,9 +24,10 @@ import pandas as pd
 
 from aridcal.inputs.campaign import Campaign, load_campaign
 from aridcal.inputs.read import load_measurements
+from aridcal.instruments.catalogue import KINDS
 from aridcal.planning.beforehand import Beforehand, beforehand
 from aridcal.planning.candidates import Candidates, draw_candidates
-from aridcal.planning.design import EASY, POOL, RANDOM, SMALL_POOL, Asked, question
+from aridcal.planning.design import POOL, RANDOM, SMALL_POOL, Asked, question
 from aridcal.planning.exchange import best_choice, exchanged, rms_sigma, worst_sigma
 from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
@@ -82,13 +83,13 @@ def planned() -> None:
                 robot = load_robot(made.robot.urdf, made.robot.tip)
                 started = time.process_time()
                 known, rng = beforehand(made, robot), np.random.default_rng(0)
-                candidates = draw_candidates(known, POOL if kind in EASY else SMALL_POOL, n, rng)
+                candidates = draw_candidates(known, POOL if KINDS[kind].anywhere else SMALL_POOL, n, rng)
                 known = with_usual_effects(known, candidates) if suspects else known
                 region = region_readings(known, None, rng)
                 choice, of = question(known, Asked(n), candidates, region)
                 chosen = best_choice(choice, n, rng)
                 best = Refined(candidates.some(chosen), choice.rows[chosen])
-                if kind in EASY:
+                if KINDS[kind].anywhere:
                     best = refined(known, of, choice, best, rng)
                 seconds = time.process_time() - started
                 M = replace(choice, rows=best.rows).information(range(n))
