@@ -264,8 +264,9 @@ def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
     if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == INCLINATION.name:
         return []
     ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
+    limb = f" --of {outcome.robot.tip}" if outcome.robot.others else ""
     return [
-        f"next: aridcal compensate {out} program.{ending} -o corrected.{ending}",
+        f"next: aridcal compensate {out} program.{ending} -o corrected.{ending}{limb}",
         "      docs/apply/index.md has a page for each controller: what it takes, and how to undo it",
     ]
 

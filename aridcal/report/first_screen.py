@@ -102,7 +102,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     files = ", ".join(path.name for path in m.files)
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
-    yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about")
+    yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.from_to}", class_="about")
     yield tag("p", list(_who_and_what(outcome)), class_="about")
     ready = outcome.verdict.for_controller
     if not ready:

@@ -87,9 +87,7 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     m, robot = made.rows.measurements, made.rows.robot
     names = ", ".join(path.name for path in m.files)
     yield tag("h1", f"Repair of {robot.tree.name}")
-    yield tag(
-        "p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.base} to {robot.tip}", class_="about"
-    )
+    yield tag("p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
     seen = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
     yield tag("div", [_card(made, k) for k in seen], class_="cards")
     moved = [change.cause.words for change in mended.changes]

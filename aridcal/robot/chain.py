@@ -232,6 +232,12 @@ class Robot:
         ways = {limb.tip: {*limb.names, *(each.name for gap in limb.fixed for each in gap)} for limb in self.limbs}
         return tuple(tip for tip, names in ways.items() if place in names)
 
+    @property
+    def from_to(self) -> str:
+        """Where the chain begins and ends, in words: ``torso to left_hand and right_hand``."""
+        ends = list(dict.fromkeys(limb.tip for limb in self.limbs))
+        return f"{self.base} to {' and '.join(', '.join(ends).rsplit(', ', 1))}"
+
     def with_limb(self, place: str) -> str:
         """A joint with the limb that it is of, in words: ``j3 (limb to left_hand)``; of a robot of one limb its name alone."""
         limbs = self.limbs_of(place) if self.others else ()
