@@ -258,8 +258,9 @@ class Job(Settings):
     def carriers(self) -> tuple[str, ...]:
         """Links that are said to carry what is measured: targets', then cameras', then the second of two joined ones."""
         joined = [block.links[1] for block in self.blocks if block.links is not None]
-        things = [*self.instruments.targets.values(), *self.instruments.cameras.values()]
-        return tuple(link for link in [*(thing.on for thing in things), *joined] if link not in (TIP, WORLD))
+        targets = [target.on for target in self.instruments.targets.values()]
+        cameras = [camera.on for camera in self.instruments.cameras.values()]
+        return tuple(link for link in [*targets, *cameras, *joined] if link not in (TIP, WORLD))
 
     def place(self, number: int) -> str:
         """What a block is called in messages."""
