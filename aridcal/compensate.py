@@ -85,7 +85,11 @@ def parser() -> CommandParser:
     command.add_argument(
         "--grid", type=int, metavar="POINTS", help="write a correction table with this many points along each joint"
     )
-    command.add_argument("--of", metavar="LINK", help="the poses are this link's of the URDF in place of the target's")
+    command.add_argument(
+        "--of",
+        metavar="LINK",
+        help="the poses are this link's of the URDF in place of the target's; the limb that a program moves",
+    )
     command.add_argument(
         "-o",
         "--out",
@@ -135,8 +139,6 @@ def _with_lists(argv: Sequence[str]) -> list[str]:
 
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.poses and any(is_program(path) for path in arguments.poses):
-        if arguments.of is not None:
-            raise OutputError("--of is for tables: a robot program says itself what it moves")
         _correct_programs(arguments)
         return
     if len(arguments.poses) > 1:
@@ -177,7 +179,7 @@ def _correct_programs(arguments: argparse.Namespace) -> None:
     _, aside = screens(arguments)
     request = Request(
         arguments.calibration, tuple(arguments.poses), arguments.out, arguments.frames, _values(arguments.at),
-        _joints(arguments.start), arguments.zeros,
+        _joints(arguments.start), arguments.zeros, arguments.of,
     )  # fmt: skip
     with told_on(aside) as progress:
         answer = correct_programs(request, progress)

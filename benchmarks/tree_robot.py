@@ -1,4 +1,4 @@
-"""Arms on one torso, as they were built: what instruments between their links read, by Pinocchio alone; for `trees.py`."""
+"""Arms on one torso, as they were built, and where their links are: Pinocchio's model, nothing of the product; for `trees.py`."""
 
 from __future__ import annotations
 
@@ -53,6 +53,42 @@ def urdf(arms: Sequence[str] = ("left", "right"), more: int = 0) -> bytes:
         hung(name, ("pan", "nod")[k], ("torso", "neck")[k], xyz, axis)
     hung("camera", "camera_mount", "head", "0.08 0 0.05", rpy="-1.9 0 -1.57")
     return "\n".join([*parts, "</robot>"]).encode()
+
+
+AXES = {"JointModelRX": (1.0, 0.0, 0.0), "JointModelRY": (0.0, 1.0, 0.0), "JointModelRZ": (0.0, 0.0, 1.0)}
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Poses of N rows: rotations (N, 3, 3) and places (N, 3), or one of all rows, (3, 3) and (3,)."""
+
+    R: np.ndarray
+    p: np.ndarray
+
+    def __matmul__(self, other: Poses) -> Poses:
+        return Poses(self.R @ other.R, self.act(other.p))
+
+    def __getitem__(self, rows: np.ndarray) -> Poses:
+        return Poses(self.R[rows], self.p[rows])
+
+    def act(self, points: np.ndarray) -> np.ndarray:
+        """Points of these frames, (N, 3) or (3,), in the frame that these poses are in, (N, 3)."""
+        return np.asarray((self.R @ points[..., None])[..., 0] + self.p)
+
+    def inverse(self) -> Poses:
+        """The other way round."""
+        back = np.swapaxes(self.R, -1, -2)
+        return Poses(back, -(back @ self.p[..., None])[..., 0])
+
+
+def fixed(T: pin.SE3) -> Poses:
+    """One pose of all rows."""
+    return Poses(T.rotation, T.translation)
+
+
+def placed(v: np.ndarray) -> Poses:
+    """One pose of all rows, from its translation and rotation vector."""
+    return Poses(pin.exp3(v[3:]), v[:3])
 
 
 @dataclass(frozen=True)
@@ -110,22 +146,30 @@ class Robot:
         """Links that are fixed to others: hands and the camera."""
         return [frame.name for frame in self.nominal.frames if frame.name.endswith(("_hand", "camera"))]
 
-    def places(self, q: np.ndarray, links: Sequence[str]) -> dict[str, list[pin.SE3]]:
-        """Where links are in the torso's frame."""
-        model = self.nominal.copy()
-        for k, step in enumerate(self.moved[: len(self.joints)], 1):
-            model.jointPlacements[k] = self.nominal.jointPlacements[k] * pin.SE3(pin.exp3(step[3:]), step[:3])
-        for link, step in zip(self.ends, self.moved[len(self.joints) :], strict=True):
-            model.frames[model.getFrameId(link)].placement *= pin.SE3(pin.exp3(step[3:]), step[:3])
+    def places(self, q: np.ndarray, links: Sequence[str]) -> dict[str, Poses]:
+        """Where links are in the torso's frame, in rows of joint positions (N, joints)."""
+        model, still = self.nominal, [pin.SE3(pin.exp3(step[3:]), step[:3]) for step in self.moved]
         turned = q.copy()
         for effect in self.effects:
             turned[:, self.joints.index(effect.joint)] += effect.turns(self, q)
-        data, frames = model.createData(), {link: model.getFrameId(link) for link in links}
-        found: dict[str, list[pin.SE3]] = {link: [] for link in links}
-        for row in turned:
-            pin.framesForwardKinematics(model, data, row)
-            for link, number in frames.items():
-                found[link].append(pin.SE3(data.oMf[number]))
+        n = len(q)
+        at = {0: Poses(np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)))}
+
+        def joint(number: int) -> Poses:
+            if number not in at:
+                before = joint(model.parents[number])
+                own = turned[:, number - 1]
+                about = np.array(AXES[model.joints[number].shortname()])
+                turn = Rotation.from_rotvec(own[:, None] * about).as_matrix()
+                placed = before @ fixed(model.jointPlacements[number] * still[number - 1])
+                at[number] = placed @ Poses(turn, np.zeros((n, 3)))
+            return at[number]
+
+        ends, found = self.ends, {}
+        for link in links:
+            frame = model.frames[model.getFrameId(link)]
+            step = still[len(self.joints) + ends.index(link)] if link in ends else pin.SE3.Identity()
+            found[link] = joint(frame.parentJoint) @ fixed(frame.placement * step)
         return found
 
 

@@ -12,9 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
-from tree_robot import RANGE, Robot, reached, turned_by
+from tree_robot import RANGE, Poses, Robot, placed, reached, turned_by
 
 SIGMA, PIXEL = 1e-4, 0.2
 FINGER, BALL = np.array([0.05, 0.02, 0.01]), np.array([0.02, 0.01, 0.1])
@@ -91,14 +90,19 @@ def own_joints(robot: Robot, rows: Seen, **columns: Any) -> pd.DataFrame:
     return pd.DataFrame(dict(zip(robot.joints, rows.q.T, strict=True)) | columns)
 
 
-def _stacked(Ts: list[pin.SE3]) -> tuple[np.ndarray, np.ndarray]:
-    return np.array([T.rotation for T in Ts]), np.array([T.translation for T in Ts])
-
-
-def _between(robot: Robot, q: np.ndarray, start: str, end: str) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations and places of one link in another's frame."""
+def _between(robot: Robot, q: np.ndarray, start: str, end: str) -> Poses:
+    """Poses of one link in another's frame."""
     places = robot.places(q, [start, end])
-    return _stacked([a.actInv(b) for a, b in zip(places[start], places[end], strict=True)])
+    return places[start].inverse() @ places[end]
+
+
+def _by_label(made: dict[str, Poses], label: np.ndarray) -> Poses:
+    """Of each row the pose that its label names."""
+    R, p = np.empty((len(label), 3, 3)), np.empty((len(label), 3))
+    for name, poses in made.items():
+        own = label == name
+        R[own], p[own] = poses.R[own], poses.p[own]
+    return Poses(R, p)
 
 
 class Tracker(Way):
@@ -115,23 +119,23 @@ class Tracker(Way):
         targets = [[0.05, 0.02, 0.01 * (k + 1), 0.1, 0.2 - 0.1 * k, 0.3] for k in range(len(self.sides))]
         return np.array([2.0, -1.0, 0.5, 0.3, -0.2, 2.0, *np.ravel(targets)])
 
-    def expected(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> tuple[Any, Any]:
-        """Rotations and places of the targets in the tracker's frame."""
-        tripod, *targets = (pin.SE3(pin.exp3(v[3:]), v[:3]) for v in things.reshape(-1, 6))
+    def expected(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> Poses:
+        """Poses of the targets in the tracker's frame."""
+        tripod, *targets = map(placed, things.reshape(-1, 6))
         places = robot.places(q, [f"{side}_hand" for side in self.sides])
-        on = dict(zip(self.sides, targets, strict=True))
-        return _stacked([tripod * places[f"{side}_hand"][k] * on[side] for k, side in enumerate(label)])
+        on = zip(self.sides, targets, strict=True)
+        return tripod @ _by_label({side: places[f"{side}_hand"] @ target for side, target in on}, label)
 
     def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
         q, label = postures(robot, n, rng), np.array(self.sides)[np.arange(n) % len(self.sides)]
-        R, p = self.expected(robot, self.things(), q, label)
-        e = self.noise(n, rng, noisy)
-        R = Rotation.from_rotvec(e[:, -3:] if len(self.channels) == 2 else 0.0 * e).as_matrix() @ R
-        return Seen(q, label, np.hstack([p + e[:, :3], R.reshape(n, 9)]))
+        seen, e = self.expected(robot, self.things(), q, label), self.noise(n, rng, noisy)
+        R = Rotation.from_rotvec(e[:, -3:] if len(self.channels) == 2 else 0.0 * e).as_matrix() @ seen.R
+        return Seen(q, label, np.hstack([seen.p + e[:, :3], R.reshape(n, 9)]))
 
     def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
-        R, p = self.expected(robot, things, rows.q, rows.label)
-        return np.hstack([rows.observed[:, :3] - p, turned_by(rows.observed[:, 3:].reshape(-1, 3, 3), R)])
+        seen = self.expected(robot, things, rows.q, rows.label)
+        turned = turned_by(rows.observed[:, 3:].reshape(-1, 3, 3), seen.R)
+        return np.hstack([rows.observed[:, :3] - seen.p, turned])
 
     def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
         quaternion = Rotation.from_matrix(rows.observed[:, 3:].reshape(-1, 3, 3)).as_quat()
@@ -167,15 +171,14 @@ class Eye(Way):
 
     def _marks(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
         """Places of marks in the camera's frame, shape (N, 3)."""
-        camera, *boards = (pin.SE3(pin.exp3(v[3:]), v[:3]) for v in things.reshape(-1, 6))
+        camera, *boards = map(placed, things.reshape(-1, 6))
         whole, number = np.unique(q, axis=0, return_inverse=True)
         places = robot.places(whole, ["camera", *HANDS.values()])
-        found = []
-        for k, name in zip(number, label, strict=True):
-            side, _, mark = name.partition("_")
-            eye = places["camera"][k] * camera
-            found.append(eye.actInv(places[HANDS[side]][k] * boards[side == "right"]).act(MARKS[int(mark)]))
-        return np.array(found)
+        eye = (places["camera"] @ camera).inverse()
+        seen = {side: (eye @ places[hand] @ board)[number]
+                for (side, hand), board in zip(HANDS.items(), boards, strict=True)}  # fmt: skip
+        side = np.char.partition(label, "_")
+        return _by_label(seen, side[:, 0]).act(MARKS[side[:, 2].astype(int)])
 
     @staticmethod
     def _pixels(at: np.ndarray) -> np.ndarray:
@@ -226,8 +229,8 @@ class Ballbar(Way):
         return np.concatenate([BALL, FINGER])
 
     def _length(self, robot: Robot, things: np.ndarray, q: np.ndarray) -> np.ndarray:
-        R, p = _between(robot, q, "right_hand", "left_hand")
-        return np.linalg.norm(p + R @ things[3:] - things[:3], axis=1)[:, None]
+        finger = _between(robot, q, "right_hand", "left_hand").act(things[3:])
+        return np.linalg.norm(finger - things[:3], axis=1)[:, None]
 
     def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
         q = postures(robot, n, rng)
@@ -256,8 +259,8 @@ class SelfTouch(Way):
         return FINGER.copy()
 
     def _apart(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
-        R, p = _between(robot, q, "right_hand", "left_hand")
-        return np.asarray(p + R @ things - SPOTS[label.astype(int)])
+        finger = _between(robot, q, "right_hand", "left_hand").act(things)
+        return np.asarray(finger - SPOTS[label.astype(int)])
 
     def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
         found, label, e = postures(robot, 4 * n, rng), (np.arange(4 * n) % 5).astype(str), self.noise(4 * n, rng, noisy)
@@ -292,8 +295,9 @@ class Table(Way):
 
     def _off(self, robot: Robot, things: np.ndarray, q: np.ndarray, label: np.ndarray) -> np.ndarray:
         places = robot.places(q, list(HANDS.values()))
-        tip = np.array(
-            [places[HANDS[side]][k].act(things[6:] if side == "right" else things[3:6]) for k, side in enumerate(label)]
+        fingers = {"left": things[3:6], "right": things[6:]}
+        tip = _by_label({side: places[HANDS[side]] for side in HANDS}, label).act(
+            np.array([fingers[side] for side in label])
         )
         normal = TABLE_NORMAL + np.array([*things[:2], 0.0])
         return (tip @ (normal / np.linalg.norm(normal)) - things[2])[:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,3 +130,41 @@ def test_a_grid_of_one_limb_has_its_joints_alone(
     ]
     assert aridcal.compensate.main(asked) == 2
     assert "--of is for tables" in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize("link", ["left_hand", "right_hand"])
+def test_a_program_of_one_limb_is_corrected_by_that_limb(
+    link: str, tracked: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path
+) -> None:
+    """The left shoulder yields: where the corrected joints lead is asked of the whole calibration, effects included."""
+    robot, found, folder = tracked
+    q = bent(robot, 4)
+    own = [name.startswith(ENDS[link]) for name in robot.joints]
+    lines = [f"movej([{', '.join(f'{value:.9f}' for value in row)}])" for row in q[:, own]]
+    (tmp_path / "arm.script").write_text("def arm():\n  " + "\n  ".join(lines) + "\nend\n")
+    out = tmp_path / "out.script"
+    start = ",".join(f"{value:.9f}" for value in q[0, own])
+    command = [str(folder / "calibration.yaml"), str(tmp_path / "arm.script"), "-o", str(out), "--start", start]
+    assert aridcal.compensate.main([*command, "--of", link, "--quiet"]) == 0
+    read = re.findall(r"movej\(\[([^]]*)\]", out.read_text())
+    new = q.copy()
+    new[:, own] = [[float(cell) for cell in row.split(",")] for row in read]
+    assert np.abs(new - q).max() > 1e-4
+    columns = [name for name in robot.joints if name.startswith(("left", "right"))]
+    table = robot.table(new)[columns]
+    reached = found.predict(table, of=link)[POSE[:3]].to_numpy(float)
+    np.testing.assert_allclose(reached, wanted(found, q, link)[POSE[:3]].to_numpy(float), rtol=0, atol=2e-6)
+
+
+def test_a_program_of_a_limb_that_is_none_is_refused(
+    tracked: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "p.script").write_text("movej([0,0,0,0,0,0])\n")
+    command = [str(tracked[2] / "calibration.yaml"), str(tmp_path / "p.script"), "-o", str(tmp_path / "out.script")]
+    for more, why in (
+        ([], "name its end with --of LINK"),
+        (["--of", "left_3"], "no limb of the calibration ends at 'left_3'"),
+    ):
+        assert aridcal.compensate.main([*command, *more]) == 2
+        assert why in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out.script").exists()

@@ -151,7 +151,7 @@ def test_marks_of_several_limbs_in_one_image_take_their_own_paths(talos: Path) -
 
 
 def test_the_head_sees_its_hands_where_pinocchio_has_them(talos: Path) -> None:
-    """One hand seen from the other, in postures that nobody measured: by the URDF as it was built, and as it was calibrated."""
+    """One hand seen from the other, which no row measured, in the postures of the campaign: as built, and as calibrated."""
     found = aridcal.calibrate(talos / "campaign.yaml")
     assert found.result["verdict"] == "noise_floor" and found.effects.empty
     assert 0.3 < found.errors.loc["final"].loc["test"]["pixel_rms_px"] < 0.38  # as the page has it

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
+import tree_robot
 import two_arms
 import yaml
 
@@ -249,3 +250,25 @@ def test_a_campaign_that_names_no_link_needs_a_tip(tmp_path: Path) -> None:
 def _with(path: Path, keys: dict[str, object]) -> Path:
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | keys))
     return path
+
+
+def test_the_benchmarks_robot_has_its_links_where_pinocchio_has_them() -> None:
+    robot = tree_robot.built(3, tree_robot.urdf())
+    model, count = robot.nominal.copy(), len(robot.joints)
+    steps = [pin.SE3(pin.exp3(step[3:]), step[:3]) for step in robot.moved]
+    for k in range(count):
+        model.jointPlacements[k + 1] = robot.nominal.jointPlacements[k + 1] * steps[k]
+    for link, step in zip(robot.ends, steps[count:], strict=True):
+        model.frames[model.getFrameId(link)].placement *= step
+    q, data, links = readings_of(count), model.createData(), ("left_hand", "right_hand", "camera")
+    places = robot.places(q, links)
+    for k, row in enumerate(q):
+        pin.framesForwardKinematics(model, data, row)
+        for link in links:
+            expected = data.oMf[model.getFrameId(link)]
+            np.testing.assert_allclose(places[link].R[k], expected.rotation, rtol=0, atol=1e-14)
+            np.testing.assert_allclose(places[link].p[k], expected.translation, rtol=0, atol=1e-14)
+
+
+def readings_of(count: int) -> np.ndarray:
+    return np.random.default_rng(1).uniform(-1.1, 1.1, (20, count))

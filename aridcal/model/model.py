@@ -12,7 +12,7 @@ import pinocchio as pin
 from aridcal.effects.basis import ALWAYS, evaluate
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.effects.labels import label_columns
-from aridcal.effects.loads import Surroundings, covariate_table, needs
+from aridcal.effects.loads import Surroundings, covariate_table, is_load, needs
 from aridcal.effects.sights import is_sight, sight_table, target_places
 from aridcal.errors import CovariateNotFound, MeasurementError, RobotError
 from aridcal.instruments.setup import Instruments
@@ -417,6 +417,34 @@ class Model:
     def _arms(self) -> tuple[_Arm, ...]:
         """The chain of each path."""
         return tuple(map(self._arm_of, self.routes))
+
+    def limb(self, link: str) -> tuple[Model, np.ndarray]:
+        """The chain from the base to a link as the model of a robot that has no other, and which coefficients it has.
+
+        Its targets are those on that link; the link itself where there is none.
+
+        Raises:
+            RobotError: one of its joints gives way under a load that other limbs change.
+        """
+        arm = self._arm_of(Route(None, None if link == self.robot.tip else link))
+        here = [
+            k for k, (label, _) in enumerate(self.tip_target) if self.target_on.get(label or "", self.robot.tip) == link
+        ]
+        labels = [self.tip_target[k][0] for k in here]
+        kept = [c.where != "tip_target" or c.station in labels for c in arm.model.coefficients]
+        coefficients = tuple(c for c, keeps in zip(arm.model.coefficients, kept, strict=True) if keeps)
+        shared = {name for name in arm.model.robot.names if len(self.robot.limbs_of(name)) > 1}
+        for c in coefficients:
+            if c.where in shared and any(map(is_load, c.basis.of)):
+                raise RobotError(
+                    f"{c.name}: what {c.where} bears depends on where the other limbs are, and nothing says that"
+                )
+        sights = self.around.sights
+        known = len(sights.targets) == len(self.tip_target) and bool(here)
+        targets = sights.targets[here] if known else np.zeros((max(1, len(here)), 3))
+        around = replace(self.around, sights=replace(sights, targets=targets))
+        frames = tuple(self.tip_target[k] for k in here) or ONE_FRAME
+        return Model(arm.model.robot, coefficients, arm.model.world_base, frames, around), arm.own[kept]
 
     def _arm_of(self, route: Route) -> _Arm:
         """The chain of a path."""

@@ -48,6 +48,7 @@ class Request:
         start: Joints where the program begins, in its units.
         zeros: What the controller shows of each axis where the URDF's joint is at zero, numbers with commas between them, in the
             program's units; None: the campaign's.
+        of: The link at the end of the limb that the programs move, of a robot of several; None: of the only one.
     """
 
     calibration: Path
@@ -57,6 +58,7 @@ class Request:
     at: Mapping[str, float] = field(default_factory=dict)
     start: tuple[float, ...] | None = None
     zeros: str | None = None
+    of: str | None = None
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
             refuse_corrected(source.path, source.text)
     outputs = _outputs(request, opened)
     content = read_file(request.calibration, CampaignError, CALIBRATION)
-    saved = SavedModel.load(request.calibration)
+    saved = _of_limb(SavedModel.load(request.calibration), request.of)
     with ExitStack() as ends:
         if outputs.folder is not None:
             ends.enter_context(claimed(outputs.folder, "folder", [*map(str, opened.names), SIDE_OF_FOLDER]))
@@ -139,17 +141,30 @@ def _uncollected() -> Iterator[None]:
             gc.enable()
 
 
+def _of_limb(saved: SavedModel, link: str | None) -> SavedModel:
+    """The calibration of the arm that a program moves.
+
+    Raises:
+        CampaignError: the robot has several limbs, and none is named.
+        RobotError: no limb ends at that link.
+    """
+    robot = saved.final.model.robot
+    if link is not None:
+        return saved.limb(link)
+    if robot.others:
+        ends = ", ".join(limb.tip for limb in robot.limbs)
+        raise CampaignError(
+            f"the calibration is of several limbs ({ends}), and a program moves one: name its end with --of LINK"
+        )
+    return saved
+
+
 def _refuse_coupled(robot: Robot) -> None:
     """Refuse an arm whose axes nobody can tell from its readings.
 
     Raises:
-        CampaignError: a joint of it follows several others, or it has several limbs.
+        CampaignError: a joint of it follows several others.
     """
-    if robot.others:
-        raise CampaignError(
-            f"the calibration is of several limbs ({', '.join(limb.tip for limb in robot.limbs)}), and a program moves one: "
-            "calibrate that arm in a campaign of its own, or give a table of poses to `aridcal compensate`"
-        )
     for joint in robot.joints:
         if len(joint.drive.factors) > 1:
             raise CampaignError(

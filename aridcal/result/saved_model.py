@@ -241,6 +241,26 @@ class SavedModel:
         ]
         return replace(self, geometric=models[0], final=models[1], kind="pose", route=route)
 
+    def limb(self, link: str) -> SavedModel:
+        """The calibration of the chain from the base to a link, as that of a robot that has no other.
+
+        Effects are the mean over the causes that the rows could not tell apart.
+
+        Raises:
+            RobotError: no limb of the calibration ends there, or other limbs change what one of its joints bears.
+        """
+        ends = [limb.tip for limb in self.final.model.robot.limbs]
+        if link not in ends:
+            raise RobotError(f"no limb of the calibration ends at {shortened(link)!r}: it has {', '.join(ends)}")
+        models = []
+        for solved in (self.geometric, self.expected):
+            model, own = solved.model.limb(link)
+            models.append(SolvedModel(model, solved.theta[own], solved.covariance[np.ix_(own, own)]))
+        elsewhere = set(self.final.model.robot.readings) - set(models[1].model.robot.readings)
+        ranges = {name: seen for name, seen in self.ranges.items() if name not in elsewhere}
+        holes = {name: unseen for name, unseen in self.holes.items() if name not in elsewhere}
+        return replace(self, geometric=models[0], final=models[1], rivals=(), ranges=ranges, holes=holes)
+
     @property
     def frames_by(self) -> Literal["station", "target"]:
         """Column that says which frames a row has, where there are several."""

@@ -154,9 +154,9 @@ class Robot:
         return not limbs or bool(frozenset.intersection(*limbs))
 
     @cached_property
-    def _limbs_of(self) -> dict[str, frozenset[int]]:
-        """Numbers of the limbs on which each joint is."""
-        return {name: frozenset(k for k, limb in enumerate(self.limbs) if name in limb.names) for name in self.names}
+    def _limbs_of(self) -> dict[str, frozenset[str]]:
+        """Ends of the limbs on which each joint is."""
+        return {name: frozenset(self.limbs_of(name)) for name in self.names}
 
     @cached_property
     def _paths(self) -> dict[tuple[str, str], Robot]:

@@ -157,8 +157,6 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
 
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
-    from scipy.stats import mannwhitneyu  # slow to load, and only instruments with things need it
-
     roles = [labelled(block.kind) for block in rows.blocks]
     told = np.array([bool(own) for own in roles])[rows.block]
     names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], np.where(told, rows.refers[:, 0], ""))
@@ -167,8 +165,13 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, own = np.bincount(thing), np.bincount(thing, square)
+    asked = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
+    if not asked:
+        return []
+    from scipy.stats import mannwhitneyu  # slow to load, and only several things need it
+
     found = []
-    for k in np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist():
+    for k in asked:
         here = thing == k
         chance = float(mannwhitneyu(square[here], square[~here], alternative="greater").pvalue)
         rest = float(np.mean(square[~here]))
@@ -176,9 +179,8 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
         ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
         what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
         found.append(Clue("thing", what, share, chance))
-    asked = len(found)
-    found = [replace(clue, p_value=min(1.0, asked * clue.p_value)) for clue in found]
-    return [min(found, key=lambda clue: clue.p_value)] if found else []
+    found = [replace(clue, p_value=min(1.0, len(asked) * clue.p_value)) for clue in found]
+    return [min(found, key=lambda clue: clue.p_value)]
 
 
 def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:

@@ -189,17 +189,12 @@ def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
             above, least = values > middle, values >= middle
             side = min((above, least), key=lambda half: abs(half.mean() - 0.5))
             found.append(Division(of, next(iter(PATTERNS)), side))
-    kept: list[Division] = []
+    kept: dict[bytes, Division] = {}
     for each in found:
         balance = min(each.side.mean(), 1.0 - each.side.mean())
-        if balance >= SMALLEST and not any(_same(each.side, other.side) for other in kept):
-            kept.append(each)
-    return kept
-
-
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """True if two divisions part the same rows."""
-    return bool(np.array_equal(one, other) or np.array_equal(one, ~other))
+        if balance >= SMALLEST:
+            kept.setdefault((each.side ^ each.side[0]).tobytes(), each)  # whichever half is called the second
+    return list(kept.values())
 
 
 @dataclass(frozen=True)
@@ -322,7 +317,8 @@ def _part(J: np.ndarray, own: np.ndarray, left: np.ndarray) -> _Side:
     """Sums over n rows: their columns (n, m, K), and what is left of them (n, m, 1 + DRAWS)."""
     J = J.reshape(-1, J.shape[2])
     A = J[:, own]
-    cross = J.T @ A
+    # Products of columns with themselves are symmetric, and half the work.
+    cross = (J.T @ J)[:, own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
     return _Side(cross[own], cross, A.T @ left.reshape(len(J), -1))
 
 
