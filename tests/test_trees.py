@@ -216,6 +216,37 @@ def test_without_links_a_campaign_has_one_chain_as_before(tmp_path: Path) -> Non
         load_campaign(_with(path, {"instruments": {"targets": {"left": {"at": "left_hand"}}}}))
 
 
+@pytest.mark.parametrize("way", ["tracker", "joined"])
+def test_without_a_tip_the_default_path_ends_at_the_first_link_that_is_named(way: str, tmp_path: Path) -> None:
+    robot, told = two_arms.machine(), {}
+    last = {"tracker": "left_hand", "joined": "right_hand"}[way]
+    path = two_arms.write(tmp_path, robot, (way,), readings(robot, 80), diagnosis={"enabled": False})
+    for tip in ({}, {"tip": last}):
+        _with(path, {"robot": {"urdf": "two_arms.urdf", "base": "torso"} | tip})
+        told[bool(tip)] = aridcal.calibrate(path).model.dump()
+    absent, stated = (yaml.safe_load(told[tip]) for tip in (False, True))
+    texts = [yaml.safe_load(each.pop("campaign"))["robot"].get("tip") for each in (absent, stated)]
+    assert texts == [None, last]  # it keeps the campaign as it was written
+    assert absent["robot"]["tip"] == last and absent == stated
+
+
+def test_a_camera_on_a_link_says_where_the_default_path_ends(tmp_path: Path) -> None:
+    robot = two_arms.machine()
+    path = two_arms.write(tmp_path, robot, ("camera", "joined"), readings(robot, 16))
+    assert load_campaign(_with(path, {"robot": {"urdf": "two_arms.urdf", "base": "torso"}})).robot.tip == "camera"
+
+
+def test_a_campaign_that_names_no_link_needs_a_tip(tmp_path: Path) -> None:
+    robot = two_arms.machine()
+    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 20))
+    _with(
+        path, {"robot": {"urdf": "two_arms.urdf", "base": "torso"}, "instruments": {"targets": {"left": {"on": "tip"}}}}
+    )
+    why = "robot.tip is missing: name the link that is calibrated, or give every target its link under instruments.targets"
+    with pytest.raises(CampaignError, match=re.escape(f"{path}: {why} (on: LINK)")):
+        load_campaign(path)
+
+
 def _with(path: Path, keys: dict[str, object]) -> Path:
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | keys))
     return path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
     BeforeValidator,
@@ -89,6 +89,8 @@ class ArmSettings(Section):
 class RobotSettings(ArmSettings):
     """The robot of a campaign, and where down is."""
 
+    tip: str = ""
+    """Of the default path; a campaign that leaves it out has that of :meth:`Job._tip_is_known`."""
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
@@ -252,9 +254,29 @@ class Job(Settings):
             named |= dict.fromkeys(block.links or (), f"{self.place(number)}.links")
         return {link: key for link, key in named.items() if link not in (TIP, WORLD)}
 
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """Links that are said to carry what is measured: targets', then cameras', then the second of two joined ones."""
+        joined = [block.links[1] for block in self.blocks if block.links is not None]
+        targets = [target.on for target in self.instruments.targets.values()]
+        cameras = [camera.on for camera in self.instruments.cameras.values()]
+        return tuple(link for link in [*targets, *cameras, *joined] if link not in (TIP, WORLD))
+
     def place(self, number: int) -> str:
         """What a block is called in messages."""
         return f"measurements[{number}]" if self.listed else "measurements"
+
+    @model_validator(mode="after")
+    def _tip_is_known(self) -> Self:
+        """Where `robot.tip` is left out, the default path ends at the first link that carries what is measured."""
+        if "tip" in self.robot.model_fields_set:
+            return self
+        if not self.carriers:
+            raise ValueError(
+                "robot.tip is missing: name the link that is calibrated, or give every target its link under "
+                "instruments.targets (on: LINK)"
+            )
+        return self.model_copy(update={"robot": self.robot.model_copy(update={"tip": self.carriers[0]})})
 
     @model_validator(mode="after")
     def _head_only_with_camera_sonar(self) -> Job:
