@@ -7,6 +7,7 @@ it (for the oracle, which is Pinocchio and nothing of the product), and as the t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -33,12 +34,15 @@ class Seen:
         label: Of each row: which hand, point or marker, shape (N,).
         observed: What was read, shape (N, m), as the way has it.
         shot: Number of the image of each row, shape (N,).
+        agreeing: Of rows that say that a condition holds: joint positions at which it does, noise left out, shape (N, joints).
+            Derivatives are taken there (Gauss and Helmert): elsewhere a robot that shrinks would seem to explain the noise.
     """
 
     q: np.ndarray
     label: np.ndarray
     observed: np.ndarray
     shot: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    agreeing: np.ndarray | None = None
 
 
 class Way(ABC):
@@ -78,6 +82,27 @@ class Way(ABC):
     def noise(self, n: int, rng: np.random.Generator, noisy: bool) -> np.ndarray:
         """Of n rows, shape (n, m)."""
         return self.sigma * rng.standard_normal((n, len(self.sigma))) * noisy
+
+
+def touching(
+    robot: Robot,
+    q: np.ndarray,
+    off: Callable[[Robot, np.ndarray, np.ndarray], np.ndarray],
+    label: np.ndarray,
+    e: np.ndarray,
+) -> Seen:
+    """Rows near some postures in which something is zero but for noise e, (N, m), as the arms can reach them."""
+    arms = [name for name in robot.joints if "_j" in name]
+    agreeing, good = reached(robot, q, off, arms)
+    noisy, too = reached(robot, agreeing, lambda own, q, k: off(own, q, k) - e[k], arms)
+    good &= too
+    return Seen(noisy[good], label[good], np.zeros((int(good.sum()), e.shape[1])), agreeing=agreeing[good])
+
+
+def first(rows: Seen, n: int) -> Seen:
+    """The first n of rows that touch something."""
+    assert rows.agreeing is not None
+    return Seen(rows.q[:n], rows.label[:n], rows.observed[:n], agreeing=rows.agreeing[:n])
 
 
 def postures(robot: Robot, n: int, rng: np.random.Generator) -> np.ndarray:
@@ -263,10 +288,10 @@ class SelfTouch(Way):
         return np.asarray(finger - SPOTS[label.astype(int)])
 
     def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
-        found, label, e = postures(robot, 4 * n, rng), (np.arange(4 * n) % 5).astype(str), self.noise(4 * n, rng, noisy)
-        arms = [name for name in robot.joints if "_j" in name]
-        q, good = reached(robot, found, lambda own, q, k: self._apart(own, self.things(), q, label[k]) - e[k], arms)
-        return Seen(q[good][:n], label[good][:n], np.zeros((good.sum(), 3))[:n])
+        start, label = postures(robot, 4 * n, rng), (np.arange(4 * n) % 5).astype(str)
+        e = self.noise(4 * n, rng, noisy)
+        every = touching(robot, start, lambda own, q, k: self._apart(own, self.things(), q, label[k]), label, e)
+        return first(every, n)
 
     def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
         return -self._apart(robot, things, rows.q, rows.label)
@@ -304,10 +329,9 @@ class Table(Way):
 
     def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
         label = np.array(["left", "right"])[np.arange(3 * n) % 2]
-        found, e = postures(robot, 3 * n, rng), self.noise(3 * n, rng, noisy)
-        arms = [name for name in robot.joints if "_j" in name]
-        q, good = reached(robot, found, lambda own, q, k: self._off(own, self.things(), q, label[k]) - e[k], arms)
-        return Seen(q[good][:n], label[good][:n], np.zeros((good.sum(), 1))[:n])
+        start, e = postures(robot, 3 * n, rng), self.noise(3 * n, rng, noisy)
+        every = touching(robot, start, lambda own, q, k: self._off(own, self.things(), q, label[k]), label, e)
+        return first(every, n)
 
     def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
         return -self._off(robot, things, rows.q, rows.label)

@@ -35,7 +35,7 @@ from tree_robot import Effect, Robot, built, urdf, with_errors
 from tree_ways import MARKS, SPOTS, WAYS, Seen, Tracker, Way
 
 from aridcal.errors import AridcalError
-from aridcal.fit.problem import problem
+from aridcal.fit.problem import agreeing, problem
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 
@@ -132,15 +132,16 @@ def left_by(robot: Robot, rows: dict[Way, Seen], effect: Effect) -> float:
 def oracle(draw: Draw) -> dict[Way, np.ndarray]:
     """Residuals of the exact rows after least squares that start at the truth and know of the effect, as the ways have them."""
     robot, things = draw.robot, {way: way.things() for way in draw.fitted}
-    for _ in range(2):
-        J = columns(robot, things, draw.fitted)
-        step = -np.linalg.pinv(J, rcond=RANK) @ whitened(robot, things, draw.fitted)
+    at = {way: own if own.agreeing is None else replace(own, q=own.agreeing) for way, own in draw.fitted.items()}
+    back = np.linalg.pinv(columns(robot, things, at), rcond=RANK)
+    for _ in range(3):
+        step = -back @ whitened(robot, things, draw.fitted)
         count = robot.moved.size
         moved, step = robot.moved.ravel() + step[:count], step[count:]
         for way, own in things.items():
             things[way], step = own + step[: len(own)], step[len(own) :]
         robot = with_errors(robot, moved, robot.effects)
-        for other, value in zip(_quadratures(robot), step, strict=True):
+        for other, value in zip(_quadratures(draw.robot), step, strict=True):
             robot = _with(robot, other, float(value))
         if robot.effects:
             robot = replace(robot, effects=(_summed(robot.effects),))
@@ -193,7 +194,7 @@ def exact_errors(outcome: Outcome) -> tuple[np.ndarray, float]:
     """Residuals of the exact rows, (n, m), and the RMS of their ratio to the sigmas that the model states for them."""
     final = outcome.stages[-1].fit
     rows = outcome.measurements.select(outcome.measurements.test)
-    asked = problem(final.model, rows)
+    asked = agreeing(problem(final.model, rows), final.theta)
     off = asked.residual(final.theta)
     spread = asked.carried(final.theta, final.covariance, slice(0, len(rows)))
     sigma = np.sqrt(np.maximum(np.einsum("nmm->nm", spread), 1e-30))
