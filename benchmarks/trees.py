@@ -191,11 +191,16 @@ def write(folder: Path, draw: Draw, **more: Any) -> Path:
 
 
 def exact_errors(outcome: Outcome) -> tuple[np.ndarray, float]:
-    """Residuals of the exact rows, (n, m), and the RMS of their ratio to the sigmas that the model states for them."""
+    """Residuals of the exact rows, (n, m), and the RMS of their ratio to the sigmas that the model states for them.
+
+    That ratio is NaN where rows refer to things that are solved for beside the coefficients: how the two go together is not kept.
+    """
     final = outcome.stages[-1].fit
     rows = outcome.measurements.select(outcome.measurements.test)
     asked = agreeing(problem(final.model, rows), final.theta)
     off = asked.residual(final.theta)
+    if asked.groups is not None:
+        return off, np.nan
     spread = asked.carried(final.theta, final.covariance, slice(0, len(rows)))
     sigma = np.sqrt(np.maximum(np.einsum("nmm->nm", spread), 1e-30))
     return off, float(np.sqrt(np.nanmean((off / sigma) ** 2)))
