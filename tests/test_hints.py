@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from heads import ARID
 from scipy.stats import kstest
 
 from aridcal.effects.basis import Basis
@@ -83,7 +84,7 @@ def test_a_harmonic_of_any_order_is_found_at_its_joint(order):
 def test_a_function_of_two_covariates_is_found_where_it_acts():
     b = made_up(np.random.default_rng(2))
     b = with_effect(b, 1, 1.0 * b.table["j2"] * b.table["humidity"])
-    places, looked = pairs(b, state(b), ["j1", "j2", "time", "humidity"])
+    places, looked = pairs(b, state(b), ["j1", "j2", "time", "humidity"], ARID)
     assert places[0] == ("j1", "x", ("j2", "humidity"))
     assert looked == 6 * 2  # pairs times motions that are not a joint's own
 

@@ -16,9 +16,12 @@ import yaml
 
 import aridcal
 import aridcal.compensate
+from aridcal.effects.catalogue import candidates
+from aridcal.effects.kinds import Observed
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.fit.constants import urdf_of
 from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.robot.chain import parse_robot, with_limbs
 
 LIMIT = 1.3
 """Held-out errors of a tenth of some 150 rows scatter by less."""
@@ -272,3 +275,18 @@ def test_the_benchmarks_robot_has_its_links_where_pinocchio_has_them() -> None:
 
 def readings_of(count: int) -> np.ndarray:
     return np.random.default_rng(1).uniform(-1.1, 1.1, (20, count))
+
+
+def test_couplings_and_curves_without_a_name_stay_within_a_limb() -> None:
+    """Against the tree that the URDF has: joints of two limbs depend on one another only where one hangs from the other."""
+    robot = with_limbs(parse_robot(two_arms.urdf(), "left_hand", "torso"), ["right_hand", "camera"])
+    table = dict(zip(robot.readings, readings(two_arms.machine(), 50).T, strict=True)) | {"humidity": np.arange(50.0)}
+    offered = candidates(Observed(robot, table, ("humidity",)), ["joint_coupling", "unknown"])
+    tree = pin.buildModelFromXML(two_arms.urdf().decode())
+    for effect in offered:
+        for name in {*effect.covariates, effect.with_} - {None, "humidity"}:
+            if effect.where in robot.names:
+                ways = [set(tree.supports[tree.getJointId(joint)]) for joint in (effect.where, name)]
+                assert ways[0] <= ways[1] or ways[1] <= ways[0], effect.label
+    assert {e.with_ for e in offered if e.kind == "joint_coupling" and e.where == "pan"} == {"nod"}
+    assert {e.where for e in offered if "humidity" in e.covariates} == {*robot.names, "tip_target"}
