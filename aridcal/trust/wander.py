@@ -26,7 +26,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from aridcal.effects.basis import ALWAYS
 from aridcal.effects.effect import Coefficient
@@ -296,13 +295,12 @@ class _Asked:
         F = features.reshape(-1, features.shape[2])
         cross = self._J.T @ F
         A = F.T @ self._less(features) - cross.T @ self._covariance @ cross
-        pull = F.T @ self._left
+        told, V = np.linalg.eigh(0.5 * (A + A.T))
+        told, y = np.maximum(told, 0.0), V.T @ (F.T @ self._left)
         found = []
         for variance in variances.tolist():
-            root = np.linalg.cholesky(np.eye(len(A)) + variance * A)
-            taken = variance * float(np.sum(solve_triangular(root, pull, lower=True) ** 2))
-            half = float(np.sum(np.log(np.diag(root))))
-            found.append(-half - 0.5 * freedom * np.log(self._squares - taken))
+            squares = self._squares - float(np.sum(variance * y**2 / (1.0 + variance * told)))
+            found.append(-0.5 * float(np.sum(np.log1p(variance * told))) - 0.5 * freedom * np.log(squares))
         return np.array(found)
 
 
