@@ -16,7 +16,7 @@ from aridcal.effects.kinds import turns
 from aridcal.fit.normal_equations import conditional
 from aridcal.search import products, state
 from aridcal.search.evidence import Score, solve
-from aridcal.search.grids import grid_of, local
+from aridcal.search.grids import Grid, grid_of, local
 from aridcal.search.linear_model import Active
 from aridcal.search.scoring import refine, signed_ranks
 from aridcal.search.screening import score_all, score_without
@@ -192,6 +192,11 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
             assert score.gain == pytest.approx(slowly[gone][effect].gain, rel=1e-6, abs=1e-6)
 
 
+def first_of(whole: Grid) -> Grid:
+    """The first slot of a grid."""
+    return replace(whole, slots=tuple(g[:, :, :1] for g in whole.slots))
+
+
 def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_give():
     """As limbs have them, which are on the paths of some rows: against columns made in full, and stretch by stretch."""
     rng = np.random.default_rng(0)
@@ -219,6 +224,15 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
         d = values.shape[1]
         blocks = (x.T @ x).reshape(4, d, 4, d)
         np.testing.assert_allclose(own, blocks[np.arange(4), :, np.arange(4)], atol=1e-12)
+    for k, apart in (made(np.arange(n) % 3 == 1, 2), made(np.zeros(n, dtype=bool), 1)):
+        assert k.rows is not None and not np.intersect1d(k.rows, first.rows).size
+        np.testing.assert_allclose(
+            k.across_grid(first_of(first)),
+            [x.T @ y[:, : values.shape[1]] for x, y in zip(apart, one, strict=True)],
+            atol=1e-12,
+        )
+        np.testing.assert_allclose(k.across(others), [x.T @ y for x, y in zip(apart, others, strict=True)], atol=1e-12)
+        assert k.own().shape[1] == k.slots[0].shape[2] and k.pull(right).shape[1] == apart[0].shape[1]
     parts = [first.part(a, b).across_grid(second.part(a, b)) for a, b in ((0, 17), (17, 40), (40, n))]
     np.testing.assert_allclose(np.sum(parts, axis=0), first.across_grid(second), atol=1e-12)
 

@@ -42,9 +42,9 @@ class Local:
 
     def times(self, other: Local) -> Local:
         """All products of two functions: i of the first and j of the second is number i d' + j."""
-        rows = len(self.values)
-        values = (self.values[:, :, None] * other.values[:, None, :]).reshape(rows, -1)
-        numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(rows, -1)
+        shape = len(self.values), self.values.shape[1] * other.values.shape[1]  # there may be no row that both have
+        values = (self.values[:, :, None] * other.values[:, None, :]).reshape(shape)
+        numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(shape)
         return Local(values, numbers, self.count * other.count)
 
     def part(self, low: int, high: int) -> Local:
@@ -111,7 +111,8 @@ class Grid:
         for g, y in zip(self.slots, columns, strict=True):
             rows, _, count = g.shape
             products = g.transpose(0, 2, 1) @ self._here(y, g)
-            summed = self.functions.sums(products.reshape(rows, -1)).reshape(self.functions.count, count, -1)
+            summed = self.functions.sums(products.reshape(rows, count * products.shape[2]))
+            summed = summed.reshape(self.functions.count, count, -1)
             made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
         return np.array(made)
 
