@@ -9,8 +9,11 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
+import tree_robot
+import trees
 import two_arms
 from test_trees import readings
+from tree_ways import WAYS
 
 import aridcal
 import aridcal.design
@@ -149,6 +152,7 @@ def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tm
 @pytest.mark.parametrize(
     ("way", "out", "why"),
     [
+        ("joined", "plan.csv", "configurations for `kind: joined` cannot be planned"),
         ("camera", "plan.csv", "what an image shows of several limbs (`kind: pixels`) is not planned"),
         (
             "tracker",
@@ -164,3 +168,20 @@ def test_what_is_not_planned_is_refused(
     assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / out)]) == 2
     assert why in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / out).exists()
+
+
+def test_a_plan_says_which_finger_touches_the_table_and_that_finger_is_there(tmp_path: Path) -> None:
+    """From nothing: where the fingers are in each planned row is Pinocchio's model, as the nominal robot has it."""
+    way, text = WAYS["table"], tree_robot.urdf()
+    robot = tree_robot.built(0, text)
+    rows = way.draw(robot, 12, np.random.default_rng(0), True)
+    path = trees.write(tmp_path, trees.Draw(robot, {way: rows}, {way: rows}))
+    (tmp_path / "table.csv").unlink()
+    assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
+    plan = pd.read_csv(tmp_path / "plan.csv")
+    assert set(plan["target"]) == {"left", "right"} and set(plan["plane"]) == {"desk"}
+    nominal = tree_robot.with_errors(robot, np.zeros(robot.moved.size), ())
+    places = nominal.places(plan.reindex(columns=robot.joints).fillna(0.0).to_numpy(), ["left_hand", "right_hand"])
+    for k, side in enumerate(plan["target"]):
+        finger = np.array(way.keys()[1]["targets"][side]["xyz"])
+        assert abs(places[f"{side}_hand"].act(finger)[k, 2] - way.keys()[1]["planes"]["desk"]["offset"]) < SMALL

@@ -33,9 +33,9 @@ from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
-PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
+PLANNED = tuple(name for name, kind in KINDS.items() if not (kind.of_head or kind.joins))
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
-these are found in the image: that is known of images only."""
+these are found in the image: that is known of images only. Where hands that hold one body can be, that body says alone."""
 
 ANGLES_ALONE = (
     "inclinations tell nothing of lengths: the sigma is what is left of angles, the arm's lengths as in the URDF"
@@ -120,6 +120,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
     """
     kind = campaign.measurements.kind
+    if KINDS[kind].joins:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned: nothing says how the body "
+            f"lies in the hands that hold it. Plan rows of another block, listed first, of {listed(PLANNED)}"
+        )
     if kind not in PLANNED:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "

@@ -96,11 +96,12 @@ def offers(known: Beforehand) -> Offers:
         return Offers(
             tuple(np.flatnonzero(cameras == name) for name in names), tuple({"camera": str(name)} for name in names)
         )
+    several = rows.target is not None and (kind.tracked or len(np.unique(rows.target)) > 1)
     titles: list[dict[str, str]] = []
     for k in range(n):
-        own = {} if rows.target is None or not kind.tracked else {"target": str(rows.target[k])}
+        own = {"target": str(rows.target[k])} if several and rows.target is not None else {}
         if rows.blocks and rows.refers[k, 0] and not kind.tracked:
-            own = {kind.roles[0].name: str(rows.refers[k, 0])}
+            own |= {kind.roles[0].name: str(rows.refers[k, 0])}
         own |= {} if rows.station is None else {"station": str(rows.station[k])}
         titles.append(own)
     return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
@@ -149,8 +150,7 @@ def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tup
     for some, route in _by_route(known, pattern):
         if route.start is not None:  # such rows are of what the target is to a link
             limb = known.robot.between(None, route.start)
-            columns = [known.robot.readings.index(name) for name in limb.readings]
-            axes, origin = tip_frames(limb, readings[some][:, columns])
+            axes, origin = tip_frames(limb, readings[some][:, known.robot.columns_of(limb)])
             found[0][some], found[1][some] = axes @ R[some], origin + np.einsum("nij,nj->ni", axes, p[some])
     return found
 
