@@ -314,12 +314,11 @@ def limb_names(robot: Robot) -> tuple[str, ...]:
 
 def limb_of(robot: Robot, joint: str) -> int:
     """Number of the limb that a joint or one above it is of alone; -1 where none is."""
-    tree, names = robot.tree, [limb.names for limb in robot.limbs] if robot.others else []
-    k = tree.getJointId(joint) if tree.existJointName(joint) else 0
+    tree, names = robot.tree, limb_names(robot)
+    k = tree.getJointId(joint) if names and tree.existJointName(joint) else 0
     while k:
-        own = [number for number, limb in enumerate(names) if tree.names[k] in limb]
-        if own:
-            return own[0] if len(own) == 1 else -1
+        if own := robot.limbs_of(tree.names[k]):
+            return names.index(own[0]) if len(own) == 1 else -1
         k = tree.parents[k]
     return -1
 

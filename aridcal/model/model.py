@@ -456,13 +456,13 @@ class Model:
         base = self.world_base if route.start is None else ONE_FRAME
         target = self.tip_target or ONE_FRAME
         model = Model(chain, tuple(self.coefficients[k] for k in own), base, target, self.around)
-        joints, columns = {n: k for k, n in enumerate(robot.names)}, {n: k for k, n in enumerate(robot.readings)}
+        joints = {n: k for k, n in enumerate(robot.names)}
         return _Arm(
             model=model,
             own=own,
             based=np.isin(self._based, own),
             joints=np.array([joints[name] for name in chain.names], dtype=int),
-            columns=np.array([columns[name] for name in chain.readings], dtype=int),
+            columns=np.array(robot.columns_of(chain), dtype=int),
             in_world=route.start is None,
         )
 

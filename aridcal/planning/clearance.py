@@ -80,7 +80,7 @@ def of_limbs(robot: Robot) -> Iterator[tuple[Robot, list[int]]]:
     """Each limb that moves, and which of the robot's columns drive it."""
     for limb in robot.limbs:
         if limb.joints:
-            yield limb, [robot.readings.index(name) for name in limb.readings]
+            yield limb, robot.columns_of(limb)
 
 
 def apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:

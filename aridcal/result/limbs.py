@@ -60,4 +60,4 @@ def _group(robot: Robot, place: str) -> str:
 
 def _in_words(robot: Robot, places: Sequence[str]) -> str:
     """Places, joints with their limbs."""
-    return enumerated([robot.with_limb(place) for place in places])
+    return enumerated([robot.place_in_words(place) for place in places])

@@ -117,5 +117,6 @@ def _check_motion(campaign: Campaign, robot: Robot, rows: Dataset) -> tuple[str,
         why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"
         raise MeasurementError(f"{rows.title}: {why}: nothing can be identified. Measure other configurations")
     return tuple(
-        f"{robot.with_limb(name)} never moves: its parameters are confounded with its neighbours'" for name in still
+        f"{robot.place_in_words(name)} never moves: its parameters are confounded with its neighbours'"
+        for name in still
     )

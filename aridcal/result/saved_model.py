@@ -252,6 +252,8 @@ class SavedModel:
         ends = [limb.tip for limb in self.final.model.robot.limbs]
         if link not in ends:
             raise RobotError(f"no limb of the calibration ends at {shortened(link)!r}: it has {', '.join(ends)}")
+        if len(ends) == 1:
+            return self
         models = []
         for solved in (self.geometric, self.expected):
             model, own = solved.model.limb(link)

@@ -146,6 +146,10 @@ class Robot:
             self._paths[pair] = replace(made, packages=self.packages, stated=self.stated)
         return self._paths[pair]
 
+    def columns_of(self, limb: Robot) -> list[int]:
+        """Which of the columns drive a chain of this robot, in that chain's order."""
+        return [self.readings.index(name) for name in limb.readings]
+
     def on_one_limb(self, *names: str) -> bool:
         """True unless two of the names are joints of different limbs; names of anything else do not count."""
         if not self.others:
@@ -238,7 +242,7 @@ class Robot:
         ends = list(dict.fromkeys(limb.tip for limb in self.limbs))
         return f"{self.base} to {' and '.join(', '.join(ends).rsplit(', ', 1))}"
 
-    def with_limb(self, place: str) -> str:
+    def place_in_words(self, place: str) -> str:
         """A joint with the limb that it is of, in words: ``j3 (limb to left_hand)``; of a robot of one limb its name alone."""
         limbs = self.limbs_of(place) if self.others else ()
         if not limbs:

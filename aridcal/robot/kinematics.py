@@ -289,8 +289,7 @@ def start_frames(
         start, some = routes[number].start, own == number
         if start is not None:
             chain = robot.between(None, start)
-            columns = [robot.readings.index(name) for name in chain.readings]
-            R[some], p[some] = tip_frames(chain, readings[some][:, columns])
+            R[some], p[some] = tip_frames(chain, readings[some][:, robot.columns_of(chain)])
             linked |= some
     return R, p, linked
 

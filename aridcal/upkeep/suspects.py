@@ -87,7 +87,7 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
         Suspect(
             "zero",
             joint.name,
-            f"the zero of {model.robot.with_limb(joint.name)}",
+            f"the zero of {model.robot.place_in_words(joint.name)}",
             along([zero_of(joint)]),
             SIZES,
             joint.kind != "prismatic",
@@ -128,7 +128,7 @@ def _effects(wide: SolvedModel) -> Iterator[Suspect]:
         if size > 0.0:
             directions = np.zeros((len(wide.theta), 1 if smooth else len(own)))
             directions[own] = values[:, None] if smooth else size * np.eye(len(own))
-            words = effect_in_words(wide.model.robot.with_limb(where), of)
+            words = effect_in_words(wide.model.robot.place_in_words(where), of)
             yield Suspect("effect", where, words, directions, RATIOS)
 
 
