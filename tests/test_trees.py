@@ -21,6 +21,7 @@ from aridcal.effects.kinds import Observed
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.fit.constants import urdf_of
 from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.inputs.read import load_measurements
 from aridcal.robot.chain import parse_robot, with_limbs
 
 LIMIT = 1.3
@@ -290,3 +291,24 @@ def test_couplings_and_curves_without_a_name_stay_within_a_limb() -> None:
                 assert ways[0] <= ways[1] or ways[1] <= ways[0], effect.label
     assert {e.with_ for e in offered if e.kind == "joint_coupling" and e.where == "pan"} == {"nod"}
     assert {e.where for e in offered if "humidity" in e.covariates} == {*robot.names, "tip_target"}
+
+
+def test_without_a_tip_a_target_that_no_key_names_is_refused(tmp_path: Path) -> None:
+    path = two_arms.write(tmp_path, two_arms.machine(), ("tracker",), readings(two_arms.machine(), 40))
+    document = yaml.safe_load(path.read_text())
+    pd.read_csv(tmp_path / "tracker.csv").fillna(0.1).to_csv(tmp_path / "tracker.csv", index=False)
+    del document["instruments"]["targets"]["right"]
+    path.write_text(yaml.safe_dump(document))
+    load_measurements_of(path)  # on the tip, which is named
+    del document["robot"]["tip"]
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(
+        AridcalError, match=r"no key says on which link the target 'right' is: add instruments.targets.right"
+    ):
+        load_measurements_of(path)
+
+
+def load_measurements_of(path: Path) -> None:
+    campaign = load_campaign(path)
+    robot = nominal_robot(campaign)
+    load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot)

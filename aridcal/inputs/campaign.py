@@ -276,7 +276,9 @@ class Job(Settings):
                 "robot.tip is missing: name the link that is calibrated, or give every target its link under "
                 "instruments.targets (on: LINK)"
             )
-        return self.model_copy(update={"robot": self.robot.model_copy(update={"tip": self.carriers[0]})})
+        robot = self.robot.model_copy(update={"tip": self.carriers[0]})
+        robot.model_fields_set.discard("tip")  # it is still not said
+        return self.model_copy(update={"robot": robot})
 
     @model_validator(mode="after")
     def _head_only_with_camera_sonar(self) -> Job:

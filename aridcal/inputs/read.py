@@ -396,9 +396,27 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
+        _check_targets(rows, asked.campaign)
         rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made, notices=(*rows.notices, *notices))
+
+
+def _check_targets(rows: Dataset, campaign: Campaign) -> None:
+    """Refuse targets of which nobody says what carries them, where no tip is named.
+
+    Raises:
+        MeasurementError: naming the first.
+    """
+    if "tip" in campaign.robot.model_fields_set or rows.target is None:
+        return
+    bare = np.array([block.traits.bare for block in rows.blocks])[rows.block]
+    untold = sorted(set(rows.target[~bare].tolist()) - set(campaign.instruments.targets))
+    if untold:
+        raise MeasurementError(
+            f"{rows.title}: no key says on which link the target {untold[0]!r} is: add instruments.targets.{untold[0]}: "
+            "{on: LINK}, or name robot.tip, which carries all others"
+        )
 
 
 def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Known, robot: Robot) -> Dataset:
