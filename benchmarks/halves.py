@@ -161,7 +161,7 @@ def spoilt(kind: str, effect_kind: str, seed: int) -> tuple[float, float]:
     rotation = rows.rotation
     if rotation is not None:
         rotation = Rotation.from_rotvec((twist + noise)[:, 3:]).as_matrix() @ rotation
-    rows = replace(rows, position=rows.position + (twist + noise)[:, :3], rotation=rotation)
+    rows = with_places(rows, rows.position + (twist + noise)[:, :3], rotation)
     found = fit_identifiable(problem(model, rows), range(len(model.coefficients)))
     return p_value(found, rows), scale * float(np.sqrt(np.mean(moved**2))) / NOISE
 

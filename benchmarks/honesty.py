@@ -374,7 +374,7 @@ def accused(seed: int, what: str, kind: str) -> dict[str, float]:
     if what == "joints":
         q += MISREAD * rng.standard_normal(q.shape)
     R = Rotation.from_rotvec(turn).as_matrix() @ rows.rotation if kind == "pose" else None
-    truth = replace(truth, measured=replace(rows, readings=q, position=p, rotation=R))
+    truth = replace(truth, measured=replace(with_places(rows, p, R), readings=q))
     with tempfile.TemporaryDirectory() as folder:
         cal = aridcal.calibrate(write_campaign(Path(folder), truth, diagnosis={"enabled": True}))
     own = {

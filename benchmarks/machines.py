@@ -218,7 +218,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     p = p[~query] + error[:, :3]
     rotation = Rotation.from_rotvec(error[:, 3:]).as_matrix() @ R[~query] if pose else None
     noise = tuple(sigma.tolist()) if rng.random() < 0.7 else ()
-    measured = replace(perfect, position=p, rotation=rotation, sigma=noise or perfect.sigma)
+    measured = with_sigma(with_places(perfect, p, rotation), noise or perfect.sigma)
     rows = replace(measured, covariates={name: measured.covariates[name] for name in columns})
     return Case(seed, what, kind, family, _campaign(robot, gravity, pose, noise), rows, measured.select(~test), truth, theta,
                 tuple(scaled), tuple(shapes), tuple(sizes), sigma, unseen)  # fmt: skip

@@ -35,7 +35,7 @@ from tree_robot import Effect, Robot, built, urdf, with_errors
 from tree_ways import MARKS, SPOTS, WAYS, Seen, Tracker, Way
 
 from aridcal.errors import AridcalError
-from aridcal.fit.problem import agreeing, problem
+from aridcal.fit.problem import problem
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 
@@ -197,7 +197,7 @@ def exact_errors(outcome: Outcome) -> tuple[np.ndarray, float]:
     """
     final = outcome.stages[-1].fit
     rows = outcome.measurements.select(outcome.measurements.test)
-    asked = agreeing(problem(final.model, rows), final.theta)
+    asked = problem(final.model, rows).agreeing(final.theta)
     off = asked.residual(final.theta)
     if asked.groups is not None:
         return off, np.nan

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ def jump(joint: int, size: float) -> np.ndarray:
 def with_frame(rows: Dataset, rotation: np.ndarray, shift: np.ndarray) -> Dataset:
     """The rows as an instrument sees them that stands elsewhere."""
     turned = None if rows.rotation is None else rotation @ rows.rotation
-    return replace(rows, position=rows.position @ rotation.T + shift, rotation=turned)
+    return robots.placed(rows, position=rows.position @ rotation.T + shift, rotation=turned)
 
 
 def table(rows: Dataset, path: Path) -> Path:

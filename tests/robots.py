@@ -16,7 +16,7 @@ from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import Problem, problem
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.dataset import Dataset, dataset, with_places, with_sigma
 from aridcal.inputs.yaml_file import parse_settings
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot, load_robot, parse_robot
@@ -128,13 +128,19 @@ def measured(robot: Robot, q: np.ndarray, position: np.ndarray, rotation: np.nda
 
 def positions_alone(rows: Dataset) -> Dataset:
     """The same rows of which no rotation was measured."""
-    return replace(rows, rotation=None, channels=rows.channels[:1], sigma=rows.sigma[:1])
+    return with_places(rows, rows.position)
+
+
+def placed(rows: Dataset, **changes: object) -> Dataset:
+    """The same rows with another measured ``position`` or ``rotation`` of the target, and other fields besides."""
+    position, rotation = (changes.pop(of, getattr(rows, of)) for of in ("position", "rotation"))
+    return replace(with_places(rows, position, rotation), **changes)
 
 
 def declared(rows: Dataset, *sigma: float | None) -> Dataset:
     """The same rows with declared noise of position and rotation; what is not given is to be estimated."""
     missing = (None,) * len(rows.channels)
-    return replace(rows, sigma=(*sigma, *missing)[: len(rows.channels)])
+    return with_sigma(rows, (*sigma, *missing)[: len(rows.channels)])
 
 
 def simulate(
@@ -209,5 +215,5 @@ def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:
     p = (p + R @ tip.translation) @ world.rotation.T + world.translation
     frames = [((None, world * truth.model.world_base[0][1]),), ((None, truth.model.tip_target[0][1] * tip),)]
     model = replace(truth.model, world_base=frames[0], tip_target=frames[1])
-    rows = replace(truth.measured, position=p, rotation=world.rotation @ R @ tip.rotation)
+    rows = placed(truth.measured, position=p, rotation=world.rotation @ R @ tip.rotation)
     return replace(truth, model=model, measured=rows)

@@ -207,7 +207,7 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
             rows = m.measured(q, offset, 0.0)
             shake = NOISE * np.sqrt(2.0 / m.rng.chisquare(2.0, (10, 2, 1))) * m.rng.normal(size=(10, 2, 3))
             turned = Rotation.from_rotvec(shake[:, 1]).as_matrix() @ rows.rotation
-            rows = replace(rows, position=rows.position + shake[:, 0], rotation=turned)
+            rows = robots.placed(rows, position=rows.position + shake[:, 0], rotation=turned)
             every = suspects(wide, rows)
             alarmed = alarm(asked(wide, rows, noise), every).p_value < FALSE_ALARMS
             if np.any(offset):
@@ -268,7 +268,7 @@ def test_a_tool_that_moved_is_named(kind, size):
     m = ur10(2, kind)
     rows = m.measured(m.configurations(10))
     R, _ = m.model.poses(m.theta, m.model.rows(rows.readings))
-    rows = replace(rows, position=rows.position + R @ (size * np.array([0.6, -0.3, 0.7])))
+    rows = robots.placed(rows, position=rows.position + R @ (size * np.array([0.6, -0.3, 0.7])))
     found = check(m.saved, rows)
     assert [c.where for c in found.causes] == ["tip_target"]
 

@@ -31,7 +31,7 @@ def rows():
 
 def measured(rows, model: Model, theta: np.ndarray, q: np.ndarray):
     T = poses(model, theta, q)
-    return replace(rows, position=T[:, :3, 3], rotation=T[:, :3, :3])
+    return robots.placed(rows, position=T[:, :3, 3], rotation=T[:, :3, :3])
 
 
 def test_on_exact_poses_it_is_the_full_solution_up_to_the_square_of_the_angles(rows):
@@ -51,7 +51,7 @@ def test_on_exact_poses_it_is_the_full_solution_up_to_the_square_of_the_angles(r
 def test_another_arm_has_no_such_answer(rows):
     rows, _ = rows
     other = Model(robots.ur10(), ())
-    poses = replace(rows, rotation=np.tile(np.eye(3), (20, 1, 1)))
+    poses = robots.placed(rows, rotation=np.tile(np.eye(3), (20, 1, 1)))
     assert closed_form(solved(other, np.zeros(0)), poses, rows.test) is None
 
 

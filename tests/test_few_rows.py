@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,6 +133,6 @@ def test_a_configuration_that_one_model_misses_by_far_does_not_decide_for_the_no
     assert arm.is_better(geometry.geometric, geometry.nominal, truth.measured)
     position = truth.measured.position.copy()
     position[4] += 0.05
-    spoilt = replace(truth.measured, position=position)
+    spoilt = robots.placed(truth.measured, position=position)
     assert arm.is_better(geometry.geometric, geometry.nominal, spoilt)
     assert not arm.is_better(geometry.nominal, geometry.geometric, spoilt)

@@ -151,7 +151,7 @@ def test_wild_rows_do_not_lead_the_start_astray() -> None:
     p, R = truth.measured.position.copy(), truth.measured.rotation.copy()
     p[:5] += rng.uniform(-0.5, 0.5, (5, 3))
     R[5:10] = [robots.random_placement(rng).rotation for _ in range(5)]
-    spoilt = replace(truth, measured=replace(truth.measured, position=p, rotation=R))
+    spoilt = replace(truth, measured=robots.placed(truth.measured, position=p, rotation=R))
     _, clean, a = optimum(truth, starts(truth))
     _, dirty, b = optimum(spoilt, starts(spoilt))
     for one, other in zip(clean.frames(a), dirty.frames(b), strict=True):

@@ -35,7 +35,7 @@ def seated(
     R, _ = truth.model.poses(truth.theta, truth.model.rows(truth.readings))
     way = R[:, :, 2] if of_target else np.array([0.0, 0.0, 1.0])
     return replace(
-        truth, measured=replace(truth.measured, position=truth.measured.position + size * odd[:, None] * way)
+        truth, measured=robots.placed(truth.measured, position=truth.measured.position + size * odd[:, None] * way)
     ), odd
 
 

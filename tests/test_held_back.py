@@ -107,8 +107,8 @@ def test_targets_of_one_body_keep_their_distances_whatever_the_robot_does() -> N
     q = np.tile(robots.readings(robots.ur10(), n, rng), (3, 1))
     rows = replace(robots.measured(robots.ur10(), q, place), station=np.repeat(["A", "B", "C"], n))
     assert targets_of_one_body(rows, 1e-3) == 3
-    assert targets_of_one_body(replace(rows, position=place + rng.normal(0, 1e-4, place.shape)), 1e-3) == 1
+    assert targets_of_one_body(robots.placed(rows, position=place + rng.normal(0, 1e-4, place.shape)), 1e-3) == 1
     two = rows.position.copy()
     two[2 * n :] += rng.normal(0, 1e-4, (n, 3))
-    assert targets_of_one_body(replace(rows, position=two), 1e-3) == 2
+    assert targets_of_one_body(robots.placed(rows, position=two), 1e-3) == 2
     assert targets_of_one_body(replace(rows, station=None), 1e-3) == 1

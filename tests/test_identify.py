@@ -299,7 +299,7 @@ def assert_shuffled_residuals_agree(outcome: Outcome) -> None:
     rows = train.select(~found.outliers)
     left = np.random.default_rng(0).permutation(found.residual[~found.outliers])
     R, p = found.model.poses(found.theta, problem(found.model, rows).rows)
-    dealt = replace(rows, position=p + left[:, :3], rotation=Rotation.from_rotvec(left[:, 3:]).as_matrix() @ R)
+    dealt = robots.placed(rows, position=p + left[:, :3], rotation=Rotation.from_rotvec(left[:, 3:]).as_matrix() @ R)
     again = fit(problem(found.model, dealt), found.theta, np.ones(len(rows)))
     halves = compare_halves(again, dealt)
     assert halves is not None and halves.p_value > 0.01

@@ -195,7 +195,7 @@ def test_figures_do_not_depend_on_the_instruments_axes() -> None:
     bench.bases = [((None, T * bases[0][1]),) for bases in bench.bases]
     bench.commands = [(T.rotation @ R, np.array([T * point for point in p])) for R, p in bench.commands]
     moved = np.array([T * point for point in bench.rows.position])
-    after = bench.evaluated(replace(bench.rows, position=moved, rotation=T.rotation @ bench.rows.rotation))
+    after = bench.evaluated(robots.placed(bench.rows, position=moved, rotation=T.rotation @ bench.rows.rotation))
     for symbol, values in before.final.items():
         assert after.final[symbol] == pytest.approx(values, **EXACT), symbol
 
@@ -235,7 +235,7 @@ def test_copies_and_flagged_rows_are_no_cycles() -> None:
     frozen[own[25]] += 0.05
     outlier = np.zeros(len(rows), dtype=bool)
     outlier[own[25]] = True
-    found = bench.evaluated(replace(rows, position=frozen, rotation=rotation), outlier)
+    found = bench.evaluated(robots.placed(rows, position=frozen, rotation=rotation), outlier)
     assert (found.copies, found.flagged) == (19, 1)
     pose = next(k for k, group in enumerate(found.cycles) if rows.configuration[group[0]] == 0)
     assert found.counts[pose] == CYCLES - 20

@@ -121,7 +121,7 @@ def test_outliers_are_flagged_and_do_no_harm() -> None:
     p, R = data.position.copy(), data.rotation.copy()  # type: ignore[union-attr]
     p[spoilt[:10]] += push[:10]
     R[spoilt[10:]] = Rotation.from_rotvec(push[10:]).as_matrix() @ R[spoilt[10:]]
-    found = fit(problem(model, replace(data, position=p, rotation=R)))
+    found = fit(problem(model, robots.placed(data, position=p, rotation=R)))
     assert set(np.flatnonzero(found.outliers)) == set(spoilt)
     assert (np.abs(found.theta - clean.theta) < 1.5 * clean.std).all()
     assert (np.abs(found.theta - theta) < 4 * found.std).all()
@@ -133,7 +133,7 @@ def test_rows_off_by_half_a_metre_do_no_harm() -> None:
     model, theta, data = small(300, rng, 1e-4)
     p = data.position.copy()
     p[:24] += rng.uniform(-0.5, 0.5, (24, 3))
-    found = fit(problem(model, replace(data, position=p)))
+    found = fit(problem(model, robots.placed(data, position=p)))
     assert found.outliers[:24].all()
     assert not found.outliers[24:].any()
     assert (np.abs(found.theta - theta) < 4 * found.std).all()
@@ -207,10 +207,10 @@ def test_rows_weigh_by_their_relative_sigmas() -> None:
         p = data.position + 1e-3 * scale[:, None] * rng.normal(size=(200, 3))
         turn = 1e-3 * scale[:, None] * rng.normal(size=(200, 3))
         R = Rotation.from_rotvec(turn).as_matrix() @ data.rotation
-        found = fit(problem(model, replace(data, position=p, rotation=R, relative=relative)))
+        found = fit(problem(model, robots.placed(data, position=p, rotation=R, relative=relative)))
         assert not found.outliers.any()
         off.append((found.theta - theta) / found.std)
-        blind.append((fit(problem(model, replace(data, position=p, rotation=R))).theta - theta) / found.std)
+        blind.append((fit(problem(model, robots.placed(data, position=p, rotation=R))).theta - theta) / found.std)
     assert found.sigma[0] == pytest.approx(1e-3 * np.sqrt(np.mean(scale**2)), rel=0.1)
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
     assert np.sqrt(np.mean(np.square(blind))) > 1.5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import gauges
@@ -32,7 +31,7 @@ def calibrated(n: int = 60, seed: int = 1, **bend: float) -> tuple[Fit, Dataset]
     place = rows.position.copy()
     for row, by in bend.items():
         place[int(row.removeprefix("row_")), 2] += by
-    rows = replace(rows, position=place)
+    rows = robots.placed(rows, position=place)
     chosen = fit_identifiable(problem(model, rows), range(len(model.coefficients))).model
     return fit(problem(chosen, rows), weight=np.ones(n)), rows
 

@@ -31,7 +31,7 @@ def knocked(n: int = 120, after: float = 0.8) -> tuple[robots.Truth, np.ndarray,
     time = EVENING + 60.0 * np.arange(n)
     late = np.arange(n) >= after * n
     shift = np.where(late[:, None], [2e-3, 0.0, 0.0], 0.0)
-    return replace(truth, measured=replace(truth.measured, position=truth.measured.position + shift)), time, late
+    return replace(truth, measured=robots.placed(truth.measured, position=truth.measured.position + shift)), time, late
 
 
 @pytest.mark.parametrize("written", ["clock", "seconds"])

@@ -84,7 +84,7 @@ def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> Non
     rng = np.random.default_rng(11)
     robot = robots.ur10()
     truth = robots.simulate(robot, 120, rng)
-    rows = robots.replace(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (120, 3)))
+    rows = robots.placed(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (120, 3)))
     path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis={"enabled": True})
     table = robots.pd.read_csv(tmp_path / "measurements.csv")
     name = robot.names[JOINT]

@@ -127,7 +127,7 @@ def test_the_rows_factors_make_the_covariance_of_all_causes_together(with_std: b
     off = 1e-4 * std * rng.standard_normal((ROWS, 6))
     assert data.rotation is not None
     turned = Rotation.from_rotvec(off[:, 3:]).as_matrix() @ data.rotation
-    data = weighed(misread(replace(data, position=data.position + off[:, :3], rotation=turned), 1, 3e-4), RowNoise(std))
+    data = weighed(misread(robots.placed(data, position=data.position + off[:, :3], rotation=turned), 1, 3e-4), RowNoise(std))
     assert data.relative is not None
     std = data.relative
     arm = calibrated(data)
@@ -142,7 +142,7 @@ def test_the_rows_factors_make_the_covariance_of_all_causes_together(with_std: b
 
 def test_held_out_rows_take_no_part() -> None:
     data = misread(rows(5).measured, 2, 3e-4)
-    wrong = replace(data, position=data.position + np.where(data.test, 5e-3, 0.0)[:, None])
+    wrong = robots.placed(data, position=data.position + np.where(data.test, 5e-3, 0.0)[:, None])
     first, second = calibrated(data), calibrated(wrong)
     assert np.array_equal(first.rows.relative, second.rows.relative)
     assert first.causes is not None and second.causes is not None
@@ -183,7 +183,7 @@ def test_a_frame_that_turns_slowly_is_no_noise_that_grows_with_range() -> None:
     """The tracker turns by 0.1 mrad and back while the rows are measured: far targets are off by more, and so again."""
     data = rows(8, 2e-5).measured
     turn = 1e-4 * np.sin(np.linspace(0.0, 12.0, ROWS))[:, None] * [0.0, 0.0, 1.0]
-    found = causes(replace(data, position=data.position + np.cross(turn, data.position)))
+    found = causes(robots.placed(data, position=data.position + np.cross(turn, data.position)))
     assert [name for _, name in found.structured] == ["position"]
     assert found.further == ()
     assert any("comes back at neighbouring rows: it is no noise" in notice for notice in structured_notices(found))
@@ -204,7 +204,7 @@ def hostile(kind: str, seed: int) -> Dataset:
         "long tails": 1e-4 * rng.standard_t(3, (ROWS, 3)),
         "outliers": 5e-3 * (rng.random((ROWS, 1)) < 0.05) * rng.standard_normal((ROWS, 3)),
     }
-    return replace(data, position=p + moved.get(kind, 0.0), readings=q)
+    return robots.placed(data, position=p + moved.get(kind, 0.0), readings=q)
 
 
 @pytest.mark.parametrize(
@@ -229,7 +229,7 @@ def test_noise_that_grows_with_range_is_recognised() -> None:
     data = far(1)
     away = np.linalg.norm(data.position, axis=1, keepdims=True)
     rng = np.random.default_rng(7)
-    only = the_only(causes(replace(data, position=data.position + 5e-5 * away * rng.standard_normal((ROWS, 3)))))
+    only = the_only(causes(robots.placed(data, position=data.position + 5e-5 * away * rng.standard_normal((ROWS, 3)))))
     assert (only.kind, only.name, only.unit) == ("range", "position", "m/m")
     assert only.value == pytest.approx(5e-5, rel=0.15)
 
@@ -239,7 +239,7 @@ def test_rotation_noise_about_the_line_of_sight_is_recognised() -> None:
     sight = data.position / np.linalg.norm(data.position, axis=1, keepdims=True)
     about = Rotation.from_rotvec(2e-4 * sight * np.random.default_rng(7).standard_normal((ROWS, 1))).as_matrix()
     assert data.rotation is not None
-    only = the_only(causes(replace(data, rotation=about @ data.rotation)))
+    only = the_only(causes(robots.placed(data, rotation=about @ data.rotation)))
     assert (only.kind, only.name, only.unit) == ("sight", "rotation", "rad")
     assert only.value == pytest.approx(2e-4, rel=0.15)
 
@@ -316,7 +316,7 @@ def on_a_lever(seed: int, lever: np.ndarray, kind: str, n: int = ROWS) -> Datase
     assert data.rotation is not None
     turn = 5e-4 * rng.standard_normal((n, 3))
     rotation = Rotation.from_rotvec(turn).as_matrix() @ data.rotation
-    made = replace(data, position=data.position + np.cross(turn, data.rotation @ lever), rotation=rotation)
+    made = robots.placed(data, position=data.position + np.cross(turn, data.rotation @ lever), rotation=rotation)
     return made if kind == "pose" else robots.positions_alone(made)
 
 
@@ -358,7 +358,7 @@ def test_depth_noise_of_a_camera_is_named_with_the_camera_s_place_and_no_joint_i
     away = data.position - point
     distance = np.linalg.norm(away, axis=1, keepdims=True)
     only = the_only(
-        causes(replace(data, position=data.position + 6e-5 * distance * away * rng.standard_normal((ROWS, 1))))
+        causes(robots.placed(data, position=data.position + 6e-5 * distance * away * rng.standard_normal((ROWS, 1))))
     )
     assert (only.kind, only.unit) == ("depth", "m")
     shape = only.shape
@@ -380,7 +380,7 @@ def about_the_flange(joint: bool, seed: int) -> Dataset:
     if joint:
         return replace(data, readings=data.readings + turn[:, None] * (np.arange(6) == 5))
     about = Rotation.from_rotvec(data.rotation[:, :, 2] * turn[:, None]).as_matrix()
-    return replace(data, rotation=about @ data.rotation)
+    return robots.placed(data, rotation=about @ data.rotation)
 
 
 @pytest.mark.parametrize("joint", [True, False])

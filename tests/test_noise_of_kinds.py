@@ -206,7 +206,7 @@ def stated(seed: int, own: float, turn: float, correlated: bool) -> Dataset:
     off += np.repeat([own, turn], 3) * rng.normal(size=(n, 6))
     assert data.rotation is not None
     turned = Rotation.from_rotvec(off[:, 3:]).as_matrix() @ data.rotation
-    data = replace(data, position=data.position + off[:, :3], rotation=turned, test=np.arange(n) % 5 == 0)
+    data = robots.placed(data, position=data.position + off[:, :3], rotation=turned, test=np.arange(n) % 5 == 0)
     return weighed(data, RowNoise(None, covariance) if correlated else RowNoise(std))
 
 

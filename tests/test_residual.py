@@ -64,7 +64,7 @@ def test_weighing_by_whole_covariances_is_worth_it_and_its_covariance_is_honest(
     for _ in range(60):
         error = np.einsum("nij,nj->ni", root, rng.standard_normal((20, 6)))
         turn = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(T[:, :3, :3])
-        noisy = replace(rows["ignore"], position=T[:, :3, 3] + error[:, :3], rotation=turn.as_matrix())
+        noisy = robots.placed(rows["ignore"], position=T[:, :3, 3] + error[:, :3], rotation=turn.as_matrix())
         for name, way in (("whole", RowNoise(covariance=covariance)), ("alike", RowNoise())):
             found = fit(problem(model, weighed(noisy, way)))
             squares[name] += float(np.sum(found.theta[:3] ** 2))

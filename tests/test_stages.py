@@ -155,7 +155,7 @@ def test_each_station_gets_its_own_frame() -> None:
     assert base.measured.rotation is not None
     R = np.array([worlds[s].rotation @ m for s, m in zip(station, base.measured.rotation, strict=True)])
     p = np.array([worlds[s].act(m) for s, m in zip(station, base.measured.position, strict=True)])
-    truth = replace(base, measured=replace(base.measured, position=p, rotation=R))
+    truth = replace(base, measured=robots.placed(base.measured, position=p, rotation=R))
     frames = {"world_base": {"per": "station"}}
     found = solve(truth, station=station, frames=frames)
     assert rms(truth, found, station)[1] < 1.3 * np.sqrt(3) * 1e-5
@@ -230,10 +230,10 @@ def test_measurements_of_something_else_are_refused(spoil: str) -> None:
     elif spoil == "rows":
         q = np.roll(q, 7, axis=0)
     elif spoil == "positions":
-        measured = replace(measured, position=rng.uniform(-2, 2, (100, 3)))
+        measured = robots.placed(measured, position=rng.uniform(-2, 2, (100, 3)))
     else:
         wrong = [robots.random_placement(rng).rotation for _ in range(100)]
-        measured = replace(measured, rotation=np.array(wrong))
+        measured = robots.placed(measured, rotation=np.array(wrong))
     with pytest.raises(MeasurementError, match=r"m\.csv: these measurements are not of this robot.*Check"):
         solve(replace(truth, measured=replace(measured, readings=q)))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -127,7 +127,7 @@ def _even(seed: int) -> tuple[Fit, Dataset]:
 def test_exact_rows_leave_nothing_that_wanders() -> None:
     fit, rows = fitted(1, 40)
     R, p = fit.model.poses(fit.theta, fit.model.rows(rows.readings))
-    exact = replace(rows, position=p, rotation=R)
+    exact = robots.placed(rows, position=p, rotation=R)
     assert total(wanders(fit, exact, np.array([1e-6, 1e-6]), (None, None), SPAN)) < 1e-6
 
 

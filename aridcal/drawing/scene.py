@@ -386,7 +386,7 @@ def scene(outcome: Outcome) -> Scene:
     T_world_base[linked, :3, 3] = -np.einsum("nij,nj->ni", back, p[linked])
     measured = m.position[rows]
     shifts = {stage.name: stage.residual[:, :3] for stage in outcome.stages}
-    if m.blocks:
+    if not m.direct:
         # What other instruments say of the target's place: the shortest way from the final model's to what fits the reading.
         shifts = {stage.name: np.nan_to_num(outcome.at_target.shift(stage.residual)) for stage in outcome.stages}
         measured = (outcome.at_target.places + shifts["final"])[rows]

@@ -101,7 +101,7 @@ def noise_unknown_in_words(outcome: Outcome) -> str:
 
 def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:
     """Noise of each channel, shape (C,), in words: ``0.17 mm over three axes``, of several instruments that of each number."""
-    if not outcome.measurements.blocks:
+    if outcome.measurements.direct:
         return f"{sigmas_in_words(sigma, outcome.channels, math.sqrt(3))} over three axes"
     return f"{sigmas_in_words(sigma, outcome.channels)} {per_number(outcome)}"
 

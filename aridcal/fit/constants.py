@@ -47,13 +47,12 @@ def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], d
 
 def has_world(data: Dataset) -> bool:
     """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
-    known = any(block.traits.places or block.traits.level for block in data.blocks)
-    return not data.blocks or known or data.instruments.world
+    return data.instruments.world or any(block.traits.places or block.traits.level for block in data.blocks)
 
 
 def measures_target(data: Dataset) -> bool:
     """True if a target on the tip is measured; cameras see the tip itself."""
-    return not data.blocks or not all(block.traits.bare for block in data.blocks)
+    return not all(block.traits.bare for block in data.blocks)
 
 
 def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:

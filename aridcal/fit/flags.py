@@ -158,7 +158,7 @@ def coordinates(data: Dataset) -> dict[str, np.ndarray]:
     found |= dict(zip(data.names, data.readings.T, strict=True))
     if not np.isnan(data.position).any():
         found |= dict(zip("xyz", data.position.T, strict=True))
-    if data.blocks:
+    if not data.direct:
         things = np.unique(np.column_stack([data.block.astype(str), data.refers]), axis=0, return_inverse=True)[1]
         found[MEASURED] = things.reshape(-1).astype(float)
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}

@@ -15,8 +15,8 @@ from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import Subset, identifiable
 from aridcal.fit.normal_equations import RANK, RIDGE, Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
-from aridcal.fit.problem import problem as ask
 from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
+from aridcal.inputs.dataset import with_sigma
 from aridcal.instruments.channels import Channels, spread
 from aridcal.model.model import Model, Rows
 
@@ -217,7 +217,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     channels, declared = problem.channels, problem.data.declared
     robust, abreast, even = weight is None, True, np.ones(len(channels))
     settled = ROUGH if robust else SETTLED
-    at_once = None if robust or problem.measured is not None else linearise(problem, theta, weight, even)
+    at_once = linearise(problem, theta, weight, even) if not robust and problem.measured.direct else None
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
     def noise_at(told: Combined, sigma: np.ndarray) -> np.ndarray:
@@ -250,12 +250,12 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
             step = np.zeros(len(theta))
             there, trial = problem, here
         else:
-            there = replace(problem.stepped(here.step_of_groups(step)), agreed=here.agreed)
+            there = problem.stepped(here.step_of_groups(step), here.agreed)
             trial = linearise(there, theta + step, weight, scale if robust else sigma)
         before = _cost(here, here.weight, channels, sigma, theta, prior)
         after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
         taken += 1
-        if after <= before + (0.0 if problem.measured is None else SLACK) or last:
+        if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
             told = told if trial is here else Combined(trial.equations, prior)
             problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(here.residual, channels) if robust else scale
@@ -291,7 +291,7 @@ def fit(
         some = _enough(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
-        problem = things_again(replace(problem, states=rough.question.states), theta)
+        problem = things_again(problem.with_states(rough.question.states), theta)
         weight = np.where(flagged(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
     if _has_many(problem):
         some = thin(problem.rows, AHEAD)
@@ -351,7 +351,7 @@ def fit_identifiable(
             raise NotIdentifiable([model.names])
         narrowed = _narrowed(problem, kept)
         result = fit(narrowed, theta[kept])
-        problem = replace(problem, states=result.model.states)
+        problem = problem.with_states(result.model.states)
         theta = _placed(result, kept, len(model.coefficients))
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
@@ -392,7 +392,7 @@ def _of_few(
     theta = free.theta.copy()
     theta[constants] = 0.0
     R = triangle(problem, theta, free.weight, free.sigma)
-    if problem.measured is None:
+    if problem.measured.direct:
         R = np.asarray(np.linalg.qr(np.vstack([R, _elsewhere(problem, theta, free.sigma)]), mode="r"))
     # Of frames nothing is believed: those that these rows do not tell stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
@@ -460,11 +460,11 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
         prior = Prior(np.zeros(len(theta)), precision.copy())
-        asked = replace(problem, states=fitted.model.states)
+        asked = problem.with_states(fitted.model.states)
         fitted = fit(asked, theta, free.weight, prior)
         if not told and np.any(fitted.sigma < finest):
-            sigma = tuple(np.maximum(fitted.sigma, finest).tolist())
-            fitted = fit(replace(asked, data=replace(asked.data, sigma=sigma)), theta, free.weight, prior)
+            sigma = np.maximum(fitted.sigma, finest).tolist()
+            fitted = fit(replace(asked, data=with_sigma(asked.data, sigma)), theta, free.weight, prior)
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):
@@ -479,7 +479,7 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
 def _has_many(problem: Problem) -> bool:
     """Whether a fit of some of the rows alone leaves next to nothing to do."""
-    return len(problem) > 2 * AHEAD and problem.measured is None
+    return len(problem) > 2 * AHEAD and problem.measured.direct
 
 
 def _enough(problem: Problem) -> np.ndarray:
@@ -514,15 +514,7 @@ def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     model = problem.model
     if len(kept) == len(model.coefficients):
         return problem
-    if problem.measured is not None:
-        narrow = ask(model.with_coefficients([model.coefficients[k] for k in kept]), problem.data, problem.progress)
-        return replace(narrow, states=problem.states)
-    varies = [not c.basis.constant for c in model.coefficients]
-    varying = [int(k) for k in np.flatnonzero(varies)]
-    columns = [varying.index(k) for k in kept if k in varying]
-    rows = replace(problem.rows, phi=problem.rows.phi.T[columns].T)
-    model = model.with_coefficients([model.coefficients[k] for k in kept])
-    return replace(problem, model=model, rows=rows)
+    return replace(problem, measured=problem.measured.narrowed(kept))
 
 
 def _cost(

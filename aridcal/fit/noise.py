@@ -57,9 +57,7 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     # The centre is estimated from the same rows: distances come out too short by this factor.
     n = size[label[own]]
     sigma, freedom, distances = [], [], [np.empty(0)]
-    of_targets = (
-        [True] * len(rows.channels) if not rows.blocks else [b.traits.tracked for b in rows.blocks for _ in b.channels]
-    )
+    of_targets = [block.traits.tracked for block in rows.blocks for _ in block.channels]
     parts = zip(rows.channels, columns(rows.channels), rows.measures[own].T, of_targets, strict=True)
     for channel, part, there, of_target in parts:
         few = there.sum() - len(np.unique(label[own][there]))

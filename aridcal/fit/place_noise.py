@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.repeats import by_appearance, first_alike
 from aridcal.inputs.split import held_together
 
 SURE = 3.0
@@ -13,11 +14,7 @@ SURE = 3.0
 
 def _alike(rows: Dataset) -> np.ndarray:
     """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not."""
-    place = held_together(rows)
-    if not rows.blocks:
-        return place
-    of = np.column_stack([place.astype(str), rows.block.astype(str), rows.refers])
-    return np.asarray(np.unique(of, axis=0, return_inverse=True)[1].reshape(-1))
+    return by_appearance(first_alike([held_together(rows), rows.block, *rows.refers.T]))
 
 
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,30 +15,14 @@ from aridcal.fit.elimination import (
     moved,
 )
 from aridcal.fit.noise import carried
-from aridcal.fit.normal_equations import TINY
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
-from aridcal.instruments.pose import residuals
 from aridcal.instruments.setup import Instruments
-from aridcal.model.many_rows import starts, stretches
-from aridcal.model.measured import Measured, Slopes, States, located, measured, rows_of_data
+from aridcal.model.local import Local
+from aridcal.model.many_rows import BLOCK, blocks
+from aridcal.model.measured import Measured, States, measured
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
-
-BLOCK = 2048
-"""Rows differentiated at a time: they stay in the cache, and memory stays flat."""
-
-AGREEING = 6
-"""Steps in which readings are moved until the measurements agree; each squares what is left."""
-
-LARGEST = 0.1
-"""[rad] and [m] from a reading to where its measurement agrees: farther is no small correction."""
-
-ENOUGH = 1e-4
-"""[rad] and [m] of a step after which rows agree to its square: no column is then off by more than rounding shows."""
-
-ALONG = 1e-4
-"""Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
 
 
 @dataclass(frozen=True)
@@ -60,34 +44,42 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Problem:
-    """A model asked about the rows of a data set.
+    """A model asked about the rows of a data set, each of its weight.
 
     Attributes:
-        model: K coefficients.
         data: N rows, m numbers each.
-        rows: The same rows as the model sees them.
-        progress: Told how far each pass over the rows is.
-        measured: What they read and of which things; None where all that they measure is the target's own pose.
+        measured: What they read and of which things, beside the model, K coefficients.
         groups: Unknowns of things that are solved for beside the coefficients; None where there are none.
-        states: Where the things are.
-        wide: The model with each joint's own motion behind its coefficients, and the rows as that sees them; None where
-            ``measured`` is.
-        agreed: Joint positions at which the measurements agree with the model, shape (N, joints): there the rows are
-            differentiated. None: at the readings themselves.
+        progress: Told how far each pass over the rows is.
     """
 
-    model: Model
     data: Dataset
-    rows: Rows
-    progress: Progress = SILENT
-    measured: Measured | None = None
+    measured: Measured
     groups: Groups | None = None
-    states: States = field(default_factory=dict)
-    wide: tuple[Model, Rows] | None = None
-    agreed: np.ndarray | None = None
+    progress: Progress = SILENT
 
     def __len__(self) -> int:
         return len(self.data)
+
+    @property
+    def model(self) -> Model:
+        """What is to predict the rows."""
+        return self.measured.model
+
+    @property
+    def rows(self) -> Rows:
+        """The rows as the model sees them."""
+        return self.measured.rows
+
+    @property
+    def states(self) -> States:
+        """Where the things are."""
+        return self.measured.states
+
+    @property
+    def instruments(self) -> Instruments:
+        """All things that model or rows know of."""
+        return self.measured.instruments
 
     @property
     def channels(self) -> Channels:
@@ -96,42 +88,20 @@ class Problem:
 
     def blocks(self) -> Iterator[slice]:
         """Stretches of rows that are differentiated at a time; their passing is told."""
-        begins = starts(len(self), BLOCK)
-        for start in self.progress.through(begins, len(self), "rows", BLOCK):
-            yield slice(start, len(self) if start == begins[-1] else start + BLOCK)
+        yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
 
     def select(self, some: np.ndarray) -> Problem:
         """The same question about some of the rows."""
-        return replace(
-            self,
-            data=self.data.select(some),
-            rows=self.rows[some],
-            measured=None if self.measured is None else self.measured[some],
-            groups=None if self.groups is None else self.groups.select(some),
-            wide=None if self.wide is None else (self.wide[0], self.wide[1][some]),
-            agreed=None if self.agreed is None else self.agreed[some],
-        )
+        groups = None if self.groups is None else self.groups.select(some)
+        return replace(self, data=self.data.select(some), measured=self.measured[some], groups=groups)
+
+    def with_states(self, states: States) -> Problem:
+        """The same with the things elsewhere."""
+        return replace(self, measured=replace(self.measured, states=states))
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
-        """Measured minus predicted, shape (N, m); NaN in channels that a row does not measure.
-
-        Things that the model does not know are solved for from these rows alone, and the freedom that this takes is given back.
-        """
-        if self.measured is None:
-            return self._of_target(theta)
-        R, p = self.model.poses(theta, self.rows)
-        states, stretch = located(self.measured, R, p, theta, self.rows, self.states)
-        r = self.measured.residual(R, p, theta, self.rows, states)
-        return r * stretch[:, None]
-
-    def _of_target(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals of the target's own pose, shape (N, m), in stretches, so that their axes are never there at once."""
-        position, rotation = self.data.position, self.data.rotation
-        left = np.empty((len(self), sum(channel.size for channel in self.channels)))
-        for part in stretches(slice(None), len(self)):
-            R, p = self.model.poses(theta, self.rows[part])
-            left[part] = residuals(R, p, position[part], None if rotation is None else rotation[part])
-        return left
+        """Measured minus predicted, shape (N, m); see :meth:`Measured.residual`."""
+        return self.measured.residual(theta)
 
     def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
         """The same, divided by the rows' relative sigmas."""
@@ -144,79 +114,34 @@ class Problem:
 
     def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> Pieces:
         """Scaled residuals of a stretch of rows, and what takes them off."""
-        if self.measured is None or self.wide is None:
+        here, relative = self.measured[part], None if self.data.relative is None else self.data.relative[part]
+        if here.direct:
             r, twists = self.of_joints(theta, part)
-            rows = self.rows[part]
-            J = self.model.of_coefficients(twists, rows)
-            return Pieces(r, J, np.zeros((*r.shape, 0)), rows.positions)
-        rows, relative = self.rows[part], None if self.data.relative is None else self.data.relative[part]
-        here, at = self.measured[part], rows.positions
-        if here.conditions.any():
-            R, p = self.model.poses(theta, rows)
-            states, _ = located(here, R, p, theta, rows, self.states)
-            r = np.nan_to_num(here.residual(R, p, theta, rows, states))
-            slopes, J, at = self._where_they_agree(theta, part, states)
-        else:
-            R, p, J = _each_once(lambda some: self.model.jacobian(theta, some), rows)
-            states, _ = located(here, R, p, theta, rows, self.states)
-            slopes = here.slopes(R, p, theta, rows, states)
-            r, J = np.nan_to_num(slopes.residual), slopes.by_twist @ J
-        for c, column in zip(here.moved, slopes.by_moved, strict=True):
-            J[:, :, c.index] = column
-        B = self.groups.columns(slopes.by_thing, part) if self.groups is not None else np.zeros((*r.shape, 0))
-        return Pieces(scaled(r, relative), scaled(J, relative), scaled(B, relative), at)
+            J = self.model.of_coefficients(twists, here.rows)
+            return Pieces(r, J, np.zeros((*r.shape, 0)), here.rows.positions)
+        seen = here.sight(theta)
+        none = np.zeros((*seen.residual.shape, 0))
+        B = none if self.groups is None else self.groups.columns(seen.by_thing, part)
+        r, J, B = (scaled(values, relative) for values in (seen.residual, seen.by_coefficient, B))
+        return Pieces(r, J, B, seen.agreed)
 
     def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled residuals (n, m) of the target's own pose in a stretch, and what joints take off them, (n, m, joints)."""
-        data, rows = self.data, self.rows[part]
-        relative = None if data.relative is None else data.relative[part]
-        R, p, twists = self.model.motions(theta, rows)
-        r = residuals(R, p, data.position[part], None if data.rotation is None else data.rotation[part])
-        twists = twists[:, : r.shape[1]]
-        if data.relative is not None and data.rotation is not None:
-            # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
-            twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
+        """Scaled residuals (n, m) of a stretch of direct rows, and what joints take off them, (n, m, joints)."""
+        relative = None if self.data.relative is None else self.data.relative[part]
+        r, twists = self.measured[part].of_joints(theta, relative is not None)
         return scaled(r, relative), scaled(twists, relative)
 
     def carried(self, theta: np.ndarray, covariance: np.ndarray, part: slice) -> np.ndarray:
         """What a covariance of the coefficients, (K, K), makes of the scaled residuals of a stretch of rows, (n, m, m)."""
-        local = None if self.measured is not None else self.model.local
+        local = self.local
         if local is None:
             return carried(self.pieces(theta, part).J, covariance)
         return local.carried(self.of_joints(theta, part)[1], self.rows.phi[part], covariance)
 
-    def nearer(self, theta: np.ndarray) -> Problem:
-        """The same, differentiated nearer to where measurements and model agree."""
-        states = self.settled(theta).states
-        at = [self._where_they_agree(theta, block, states)[2] for block in self.blocks()]
-        return replace(self, agreed=np.concatenate(at))
-
-    def _where_they_agree(
-        self, theta: np.ndarray, part: slice, states: States
-    ) -> tuple[Slopes, np.ndarray, np.ndarray]:
-        """How a stretch of rows changes there, columns of the coefficients (n, m, K), and positions nearer to it (n, joints)."""
-        assert self.measured is not None and self.wide is not None
-        (model, wide), rows, count = self.wide, self.rows[part], len(theta)
-        at = rows.positions if self.agreed is None else self.agreed[part]
-        beyond = np.zeros(len(model.coefficients) - count)
-        R, p, J = model.jacobian(np.concatenate([theta, beyond]), replace(wide[part], positions=at))
-        slopes = self.measured[part].slopes(R, p, theta, rows, states)
-        J = slopes.by_twist @ J
-        own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
-        # The shortest way from the readings: what is left here, and what has been gone already.
-        asked = seen + np.einsum("nmj,nj->nm", own, at - rows.positions)
-        back = own.transpose(0, 2, 1)
-        square = own @ back
-        # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
-        weak = ALONG**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
-        off = (back @ np.linalg.solve(square + weak + TINY * np.eye(square.shape[1]), asked[:, :, None]))[:, :, 0]
-        off[~self.measured[part].conditions] = 0.0
-        return slopes, J[:, :, :count], rows.positions + np.clip(off, -LARGEST, LARGEST)
-
     @property
-    def instruments(self) -> Instruments:
-        """All things that model or rows know of."""
-        return self.model.instruments if self.measured is None else self.measured.instruments
+    def local(self) -> Local | None:
+        """Which coefficients act in few rows, if direct rows are many; None where a column for each of them is quicker."""
+        return self.model.local if self.measured.direct else None
 
     def taken(self, weight: np.ndarray) -> np.ndarray:
         """Numbers of each channel that unknown things take up, shape (C,), in rows of some weight, shape (N,)."""
@@ -235,22 +160,21 @@ class Problem:
 
     def beforehand(self) -> Known | None:
         """What is known of the groups beforehand, about where their things are."""
-        if self.groups is None or self.measured is None:
-            return None
-        return known(self.groups, self.measured.instruments, self.states)
+        return None if self.groups is None else known(self.groups, self.instruments, self.states)
 
     def settled(self, theta: np.ndarray) -> Problem:
         """The same with the things that the model does not know found from these rows alone."""
-        if self.measured is None or not any(np.isnan(state).any() for state in self.states.values()):
-            return self
-        R, p = self.model.poses(theta, self.rows)
-        return replace(self, states=located(self.measured, R, p, theta, self.rows, self.states)[0])
+        return replace(self, measured=self.measured.settled(theta))
 
-    def stepped(self, step: np.ndarray) -> Problem:
-        """The same with the groups' unknowns moved, shape (G, U)."""
-        if self.groups is None or self.measured is None:
-            return self
-        return replace(self, states=moved(self.states, self.groups, self.measured.instruments, step))
+    def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
+        """The same with the groups' unknowns moved, shape (G, U), and differentiated at positions (N, joints) if given."""
+        states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
+        agreed = self.measured.agreed if agreed is None else agreed
+        return replace(self, measured=replace(self.measured, states=states, agreed=agreed))
+
+    def agreeing(self, theta: np.ndarray) -> Problem:
+        """The same, differentiated where measurements and model agree; see :meth:`Measured.agreeing`."""
+        return replace(self, measured=self.measured.agreeing(theta))
 
 
 def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:
@@ -260,52 +184,13 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    rows = rows_of_data(model, data)
     seen = measured(model, data)
-    if seen is None:
-        return Problem(model, data, rows, progress)
-    states = {name: t.start for name, t in seen.instruments.things.items()}
-    for name, state in model.states.items():
-        states[name] = np.vstack([state, states[name][len(state) :]])
-    wide = model.with_motions(model.own_motions)
-    at = rows_of_data(wide, data)
-    return Problem(model, data, rows, progress, seen, groups(seen), states, (wide, at))
-
-
-def _each_once(ask: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows) -> tuple[np.ndarray, ...]:
-    """What a model says of rows, one of several that follow one another alike asked for all: the marks in one image."""
-    route = np.zeros(len(rows)) if rows.route is None else rows.route  # one image may show marks of several limbs
-    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip, route])
-    new = np.ones(len(rows), dtype=bool)
-    new[1:] = np.any(told[1:] != told[:-1], axis=1)
-    if new.all():
-        return ask(rows)
-    number = np.cumsum(new) - 1
-    return tuple(said[number] for said in ask(rows[np.flatnonzero(new)]))
+    return Problem(data, seen, groups(seen), progress)
 
 
 def agreed(question: Problem, theta: np.ndarray) -> Problem:
-    """The same question, differentiated where measurements and model agree; see :func:`agreeing`."""
-    return question if question.agreed is not None else agreeing(question, theta)
-
-
-def agreeing(question: Problem, theta: np.ndarray) -> Problem:
-    """The same question with its rows differentiated where measurements and model agree: readings moved as little as possible.
-
-    What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known) turns
-    or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero. These are
-    the derivatives of the Gauss-Helmert model (Helmert 1872): readings were observed, and a measurement is a condition on them.
-    """
-    if question.measured is None or not question.measured.conditions.any():
-        return replace(question, agreed=question.rows.positions)
-    before = question.rows.positions if question.agreed is None else question.agreed
-    for _ in range(AGREEING):
-        question = question.nearer(theta)
-        assert question.agreed is not None
-        moved, before = np.abs(question.agreed - before).max(initial=0.0), question.agreed
-        if moved < ENOUGH:
-            break
-    return question
+    """The same question, differentiated where measurements and model agree, unless it is already."""
+    return question if question.measured.agreed is not None else question.agreeing(theta)
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

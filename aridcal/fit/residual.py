@@ -38,7 +38,7 @@ def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
     size = sum(channel.size for channel in question.channels)
     J = np.empty((len(question), size, count))
     for block in question.blocks():
-        if question.measured is None:
+        if question.measured.direct:
             relative = None if question.data.relative is None else question.data.relative[block]
             rows = question.rows[block]
             _, _, twists = question.model.motions(theta, rows)
@@ -91,8 +91,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
     parts, used, nearer = [], [], []
-    conditional = question.measured is not None  # where rows measure the target's own pose readings are not moved
-    local = None if conditional else question.model.local
+    local = question.local
     for block in question.blocks():
         if local is not None:
             r, twists = question.of_joints(theta, block)
@@ -106,9 +105,8 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
             continue
         pieces = question.pieces(theta, block)
         r, J, B = pieces.r, pieces.J, pieces.B
-        if conditional:
-            nearer.append(pieces.agreed)
-        seen = _with_holes(question, block, r)
+        nearer.append(pieces.agreed)
+        seen = np.where(question.measured[block].absent, np.nan, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.share)[:, None]
         if sums is not None:
@@ -135,7 +133,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     counted = weight * question.data.share
     rr = weighted_squares(residual, counted, channels)
     equations = NormalEquations(AA, Ar, rr, _numbers(residual, counted, channels))
-    beforehand, at = question.beforehand(), np.concatenate(nearer) if conditional else question.rows.positions
+    beforehand, at = question.beforehand(), np.concatenate(nearer) if nearer else question.rows.positions
     if sums is None or question.groups is None or beforehand is None:
         return Linearisation(residual, weight, equations, at)
     found = solved(sums, question.groups, beforehand, sigma)
@@ -153,11 +151,6 @@ def _sums(question: Problem, count: int) -> Sums | None:
         np.zeros((channels, many, width, count)),
         np.zeros((channels, many, width)),
     )
-
-
-def _with_holes(question: Problem, part: slice, r: np.ndarray) -> np.ndarray:
-    """Residuals (n, m) with NaN in channels that a row does not measure."""
-    return r if question.measured is None else np.where(question.measured[part].absent, np.nan, r)
 
 
 def _numbers(residual: np.ndarray, weight: np.ndarray, channels: Channels) -> np.ndarray:
@@ -249,14 +242,14 @@ def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None
         theta: Shape (K,).
         weight: Of each row, shape (N,); None: robustly, from all.
     """
-    seen, groups = question.measured, question.groups
-    if seen is None or groups is None:
+    groups = question.groups
+    if groups is None:
         return question
     R, p = question.model.poses(theta, question.rows)
     question = question.settled(theta)
     channels, everything = question.channels, slice(None)
     for _ in range(THINGS):
-        slopes = seen.slopes(R, p, theta, question.rows, question.states)
+        slopes = question.measured.slopes(R, p, theta)
         r = scaled(slopes.residual, question.data.relative)
         B = scaled(groups.columns(slopes.by_thing, everything), question.data.relative)
         scale = robust_sigma(r, channels)

@@ -132,8 +132,7 @@ def _start(
         return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
     bare = Model(robot, (), instruments=train.instruments, routes=train.routes)
     seen = measured(bare, train)
-    assert seen is not None
-    R, p = bare.poses(np.zeros(0), bare.rows(train.readings, route=train.route))
+    R, p = bare.poses(np.zeros(0), seen.rows)
     world, tip = campaign.frames.world_base, campaign.frames.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     number = np.zeros(len(train), dtype=int)
@@ -207,7 +206,7 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray)
     Raises:
         NotOfThisRobot: naming what to check.
     """
-    places = train.position if not train.blocks else targets
+    places = np.where(np.isnan(train.position), targets, train.position)
     centre = places - np.nanmean(places, axis=0)
     spread = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
     for channel, sigma in zip(train.channels, robust_sigma(residual, train.channels).tolist(), strict=True):
@@ -235,14 +234,15 @@ def _starts(
     campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]
 ) -> list[tuple[FrameStart, np.ndarray]]:
     """Closed-form starts of the frames, the best first, and the robust sigma that each leaves, shape (C,)."""
-    bare = Problem(Model(robot, ()), train, Model(robot, ()).rows(train.readings))
+    bare = Model(robot, ())
     settings = (campaign.frames.world_base, campaign.frames.tip_target)
     indices = [_frame_of_each_row(frame, train, labels) for frame in settings]
     counts = [len(labels) if frame.per == "station" else 1 for frame in settings]
     hints = [(placement(frame),) * n for frame, n in zip(settings, counts, strict=True)]
     known = [None if frame.identify else hint for frame, hint in zip(settings, hints, strict=True)]
-    some = thin(replace(bare.rows, world=indices[0], tip=indices[1]), START_ROWS)
-    R, p = bare.model.poses(np.zeros(0), bare.rows[some])
+    rows = replace(bare.rows(train.readings), world=indices[0], tip=indices[1])
+    some = thin(rows, START_ROWS)
+    R, p = bare.poses(np.zeros(0), rows[some])
     world, tip = indices[0][some], indices[1][some]
     measured = train.position[some], None if train.rotation is None else train.rotation[some]
     starts = start_frames(R, p, *measured, world, tip, known[0], known[1], hints[1])

@@ -36,7 +36,7 @@ def standstills(rows: Dataset) -> np.ndarray:
     Rows of one standstill have the same readings, bit for bit, and measure different things or with different instruments.
     Where the same is measured again, the arm was there again. Plain poses are each their own.
     """
-    if not rows.blocks:
+    if rows.direct:
         return np.arange(len(rows))
     import pandas as pd  # slow to load, and plain poses do not come here
 
@@ -76,7 +76,7 @@ def representative(asked: Problem, most: int) -> np.ndarray:
     Of things that are joined to more others than can be carried as columns, those are asked about that most rows refer to.
     """
     data = asked.data
-    if not data.blocks:
+    if data.direct:
         return thin(asked.rows, most)
     import pandas as pd  # as above
 

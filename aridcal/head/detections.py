@@ -29,7 +29,7 @@ from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.instruments.camera_sonar import HEAD, Head, channels, reduced, unpacked
+from aridcal.instruments.camera_sonar import HEAD, Head, channels
 from aridcal.instruments.setup import Block, Instruments, Things
 from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
@@ -147,19 +147,13 @@ def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaig
         campaign: Says what is known of the noise.
     """
     n, (settings,) = len(rows), campaign.blocks
-    numbers = observed(seen, head)
-    found = reduced(unpacked(numbers, len(head.positions)), head)
     stated = 1.0 if settings.noise.rows == "absolute" else None
     block = Block(settings.title, settings.kind, channels(head), (*rows.sigma[:2], stated), settings.noise.rows)
     made = replace(
         rows,
-        channels=block.channels,
-        position=found.position,
-        rotation=found.rotation,
-        sigma=block.sigma,
         blocks=(block,),
         block=np.zeros(n, dtype=int),
-        observed=numbers,
+        observed=observed(seen, head),
         refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1)),
         instruments=head_things(head),
     )

@@ -14,17 +14,13 @@ import numpy as np
 from aridcal.effects.effect import ROW_ORDER
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_appearance, first_alike
-from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels, columns, spread
+from aridcal.instruments.channels import Channels, columns, spread
+from aridcal.instruments.pose import POSE, POSITION, pose_numbers
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.robot.chain import JointKind, Route
 
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
-
-OF_BLOCKS = ("block", "observed", "refers")
-"""Columns of the data that are empty where there are no blocks."""
-
 
 @dataclass(frozen=True)
 class Dataset:
@@ -44,10 +40,6 @@ class Dataset:
         line: Line of the file, the header being line 1, shape (N,).
         order: The same counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
         readings: Joint readings or commands, shape (N, columns), [rad] or [m].
-        channels: What each row measures, C channels of m numbers in all.
-        position: Of the target in the world frame, shape (N, 3), [m]; NaN where nothing measured it.
-        rotation: Of the target in the world frame, shape (N, 3, 3); None where only positions were measured.
-        sigma: Declared 1-sigma of each channel per axis, in its unit; None where it is to be estimated.
         relative: How the rows' noise differs from the channels' sigmas: relative sigmas of the numbers in world axes,
             shape (N, m), with RMS 1 over the training rows; or factors L, shape (N, m, m), where numbers of a row err
             together, so that the noise is L times independent noise of the channels' sigmas; None where rows are alike.
@@ -59,8 +51,7 @@ class Dataset:
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
         split_given: True if the files say which rows those are.
         share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
-        blocks: Of rows of one kind each; none where all rows measure the pose or the position of one target, and then
-            nothing of what follows is there.
+        blocks: Of rows of one kind each.
         block: Index into ``blocks``, shape (N,).
         observed: What was read, as the kind of the row's block has it, shape (N, W); NaN beyond what it has.
         refers: Labels of the things that the row refers to, in the order of its kind's roles, shape (N, 3); empty where
@@ -82,10 +73,10 @@ class Dataset:
     line: np.ndarray
     order: np.ndarray
     readings: np.ndarray
-    channels: Channels
-    position: np.ndarray
-    rotation: np.ndarray | None
-    sigma: tuple[float | None, ...]
+    blocks: tuple[Block, ...]
+    block: np.ndarray
+    observed: np.ndarray
+    refers: np.ndarray
     relative: np.ndarray | None
     covariates: dict[str, np.ndarray]
     station: np.ndarray | None
@@ -96,10 +87,6 @@ class Dataset:
     split_given: bool = False
     derived: tuple[str, ...] = ()
     share: float = 1.0
-    blocks: tuple[Block, ...] = ()
-    block: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
-    observed: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
-    refers: np.ndarray = field(default_factory=lambda: np.zeros((0, ROLES), dtype=str))
     target: np.ndarray | None = None
     routes: tuple[Route, ...] = (Route(),)
     route: np.ndarray | None = None
@@ -107,6 +94,61 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.line)
+
+    @property
+    def channels(self) -> Channels:
+        """What the rows measure, C channels of m numbers in all, block after block."""
+        return tuple(channel for block in self.blocks for channel in block.channels)
+
+    @property
+    def sigma(self) -> tuple[float | None, ...]:
+        """Declared 1-sigma of each channel per axis, in its unit; None where it is to be estimated."""
+        return tuple(sigma for block in self.blocks for sigma in block.sigma)
+
+    @property
+    def direct(self) -> bool:
+        """True where a tracker without faults gives the place of the only target in all rows: nothing else is between."""
+        return len(self.blocks) == 1 and self.blocks[0].traits.tracked and not self.instruments.things
+
+    @property
+    def position(self) -> np.ndarray:
+        """Place of the target in the world frame as rows tell it alone, shape (N, 3), [m]; NaN where they do not."""
+        return self._placed[0]
+
+    @property
+    def rotation(self) -> np.ndarray | None:
+        """The same of its rotation, shape (N, 3, 3); None where no row tells it."""
+        return self._placed[1]
+
+    @cached_property
+    def _placed(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Positions and rotations of the target, of the kinds that tell them."""
+        position, rotation = np.full((len(self), 3), np.nan), None
+        for number, block in enumerate(self.blocks):
+            own = slice(None) if len(self.blocks) == 1 else np.flatnonzero(self.block == number)
+            place = block.traits.placed
+            if place is None or not self.observed.shape[1]:
+                continue
+            p, R = place(block.traits.numbers(self.observed[own]), self.beforehand(number, own))
+            if len(self.blocks) == 1:
+                return p, R
+            position[own] = p
+            if R is not None:
+                rotation = np.full((len(self), 3, 3), np.nan) if rotation is None else rotation
+                rotation[own] = R
+        return position, rotation
+
+    def beforehand(self, number: int, own: np.ndarray | slice) -> list[np.ndarray]:
+        """What is known beforehand of the things of some rows of a block, (n, P) for each role; 0 of what has no fault."""
+        found = []
+        for k, role in enumerate(self.blocks[number].traits.roles):
+            label, things = self.refers[own, k], self.instruments.things.get(role.name)
+            if things is None:
+                found.append(np.zeros((len(label), role.size)))
+                continue
+            place = {name: at for at, name in enumerate(things.names)}
+            found.append(things.start[[place[name] for name in label.tolist()]])
+        return found
 
     @property
     def train(self) -> np.ndarray:
@@ -121,17 +163,13 @@ class Dataset:
     @property
     def measures(self) -> np.ndarray:
         """Which channels each row measures, shape (N, C) bool."""
-        if not self.blocks:
-            return np.ones((len(self), len(self.channels)), dtype=bool)
         of_block = np.repeat(np.arange(len(self.blocks)), [len(block.channels) for block in self.blocks])
         return np.asarray(self.block[:, None] == of_block)
 
     @property
     def sees_turns(self) -> bool:
         """False where the target is a point: turns of its own change nothing that is measured."""
-        if not self.blocks:
-            return self.rotation is not None
-        return any(KINDS[block.kind].turns for block in self.blocks)
+        return any(block.traits.turns for block in self.blocks)
 
     @property
     def conditions(self) -> dict[str, np.ndarray]:
@@ -161,8 +199,6 @@ class Dataset:
         if isinstance(rows, np.ndarray) and rows.dtype == bool and rows.all():
             return self
         per_row = {f.name: getattr(self, f.name) for f in fields(self)}
-        if not self.blocks:
-            per_row = {name: value for name, value in per_row.items() if name not in OF_BLOCKS}
         chosen = {name: value[rows] for name, value in per_row.items() if isinstance(value, np.ndarray)}
         chosen["configuration"] = by_appearance(chosen["configuration"])
         return replace(self, **chosen, covariates={name: value[rows] for name, value in self.covariates.items()})
@@ -184,7 +220,6 @@ def together(parts: Sequence[Dataset]) -> Dataset:
     counts, n = [len(part) for part in parts], sum(map(len, parts))
     ends = np.cumsum([0, *counts])
     blocks, widths = tuple(part.blocks[0] for part in parts), [part.observed.shape[1] for part in parts]
-    rotation = np.full((n, 3, 3), np.nan) if any(part.rotation is not None for part in parts) else None
     observed = np.full((n, max(widths)), np.nan)
     names = sorted({name for part in parts for name in part.covariates})
     covariates = {name: np.full(n, np.nan) for name in names}
@@ -192,8 +227,6 @@ def together(parts: Sequence[Dataset]) -> Dataset:
     file = []
     for part, low, high in zip(parts, ends[:-1], ends[1:], strict=True):
         observed[low:high, : part.observed.shape[1]] = part.observed
-        if rotation is not None and part.rotation is not None:
-            rotation[low:high] = part.rotation
         for name, values in part.covariates.items():
             covariates[name][low:high] = values
         order.append(part.order + last)
@@ -220,10 +253,10 @@ def together(parts: Sequence[Dataset]) -> Dataset:
         line=np.concatenate([part.line for part in parts]),
         order=np.concatenate(order),
         readings=np.concatenate([part.readings for part in parts]),
-        channels=tuple(channel for b in blocks for channel in b.channels),
-        position=np.concatenate([part.position for part in parts]),
-        rotation=rotation,
-        sigma=tuple(sigma for b in blocks for sigma in b.sigma),
+        blocks=blocks,
+        block=block,
+        observed=observed,
+        refers=refers,
         relative=None,
         covariates=covariates,
         station=station,
@@ -232,10 +265,6 @@ def together(parts: Sequence[Dataset]) -> Dataset:
         doubtful=np.concatenate([part.doubtful for part in parts]),
         test=np.concatenate([part.test for part in parts]),
         split_given=all(part.split_given for part in parts),
-        blocks=blocks,
-        block=block,
-        observed=observed,
-        refers=refers,
         target=target,
     )
 
@@ -250,7 +279,7 @@ def _named_apart(parts: Sequence[Dataset]) -> list[Dataset]:
             replace(c, name=f"{block.name}_{c.name}", noun=f"{c.noun} of {block.name}") if names[c.name] > 1 else c
             for c in part.channels
         )
-        apart.append(replace(part, channels=channels, blocks=(replace(block, channels=channels),)))
+        apart.append(replace(part, blocks=(replace(block, channels=channels),)))
     return apart
 
 
@@ -307,8 +336,8 @@ def dataset(
         stale: See :class:`Dataset`; default: none.
         test: Held-out rows, shape (N,); default: none.
     """
-    n = len(readings)
-    channels = (TARGET_POSITION,) if rotation is None else (TARGET_POSITION, TARGET_ROTATION)
+    n, kind = len(readings), POSITION if rotation is None else POSE
+    stated = tuple(sigma)[: len(kind.channels)] or (None,) * len(kind.channels)
     nothing = np.zeros(n, dtype=bool)
     made = Dataset(
         names=tuple(names),
@@ -321,10 +350,10 @@ def dataset(
         line=np.arange(n) + 2,
         order=np.arange(n) + 2.0,
         readings=readings,
-        channels=channels,
-        position=position,
-        rotation=rotation,
-        sigma=tuple(sigma)[: len(channels)] or (None,) * len(channels),
+        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        block=np.zeros(n, dtype=int),
+        observed=pose_numbers(position, rotation),
+        refers=np.zeros((n, ROLES), dtype=str),
         relative=None,
         covariates=dict(covariates or {}),
         station=station,
@@ -335,6 +364,20 @@ def dataset(
         split_given=test is not None,
     )
     return made if noise is None else weighed(made, noise)
+
+
+def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
+    """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
+    kind, n = POSITION if rotation is None else POSE, len(data)
+    stated = (*data.sigma, *(None,) * len(kind.channels))[: len(kind.channels)]
+    return replace(
+        data,
+        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        block=np.zeros(n, dtype=int),
+        observed=pose_numbers(position, rotation),
+        refers=np.zeros((n, ROLES), dtype=str),
+        instruments=Instruments(),
+    )
 
 
 def weighed(data: Dataset, noise: RowNoise) -> Dataset:
@@ -349,7 +392,18 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
         relative = std / spread(typical, data.channels)
     else:
         return replace(data, relative=None)
-    return replace(data, relative=relative, sigma=tuple(typical.tolist()) if noise.absolute else data.sigma)
+    data = replace(data, relative=relative)
+    return with_sigma(data, typical.tolist()) if noise.absolute else data
+
+
+def with_sigma(data: Dataset, sigma: Sequence[float | None]) -> Dataset:
+    """The same rows with another declared noise of each channel."""
+    ends = np.cumsum([0, *(len(block.channels) for block in data.blocks)]).tolist()
+    blocks = [
+        replace(block, sigma=tuple(sigma[low:high]))
+        for block, low, high in zip(data.blocks, ends[:-1], ends[1:], strict=True)
+    ]
+    return replace(data, blocks=tuple(blocks))
 
 
 def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
@@ -358,13 +412,19 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
         return data
     relative = np.ones((len(data), sum(channel.size for channel in data.channels)))
     sigma, ends = [], np.cumsum([0, *(spread(np.ones(len(b.channels)), b.channels).size for b in data.blocks)])
-    for number, (block, noise) in enumerate(zip(data.blocks, noises, strict=True)):
+    for number, noise in enumerate(noises):
         own = data.block == number
-        made = weighed(replace(data.select(own), channels=block.channels, sigma=block.sigma), noise)
+        made = weighed(of_block(data, number, own), noise)
         sigma += list(made.sigma)
         if made.relative is not None:
             relative[own, ends[number] : ends[number + 1]] = made.relative
-    return replace(data, relative=relative, sigma=tuple(sigma))
+    return with_sigma(replace(data, relative=relative), sigma)
+
+
+def of_block(data: Dataset, number: int, own: np.ndarray) -> Dataset:
+    """Rows of one block alone, shape (N,) bool or numbers, with its channels and nothing known of their noise."""
+    rows = data.select(own)
+    return replace(rows, blocks=(data.blocks[number],), block=np.zeros(len(rows), dtype=int), relative=None)
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:

@@ -30,9 +30,8 @@ from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channels
 from aridcal.instruments.kind import Kind
-from aridcal.instruments.pose import turned
+from aridcal.instruments.pose import pose_numbers, turned
 from aridcal.instruments.setup import Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
@@ -115,7 +114,7 @@ def load_measurements(
     asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
-    if not parts[0].rows.blocks:
+    if not require_pose or _direct(campaign, parts[0].rows):
         rows = with_training_rows(parts[0].rows, per_station(campaign)) if fitted else parts[0].rows
         return weighed(rows, parts[0].noise)
     if not fitted:
@@ -175,10 +174,10 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     target = _words(source, TARGET) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
         target = np.full(len(table), settings.target)
-    plain = not asked.require_pose or (alone and of_target and target is None and not campaign.links)
-    observed = position if of_target or plain else _observed(source)
-    refers = np.zeros((len(table), ROLES), dtype=str) if of_target or plain else _refers(source, asked, alone)
-    if not (of_target or plain):
+    read_here = asked.require_pose and not of_target
+    observed = _observed(source) if read_here else position
+    refers = _refers(source, asked, alone) if read_here else np.zeros((len(table), ROLES), dtype=str)
+    if read_here:
         camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
@@ -192,7 +191,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     _unroll(source, covariates)
     time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
     held = [q, observed, quaternion, std, *others]
-    labels = [station, target, *(() if plain else refers.T)]
+    labels = [station, target, *(refers.T if read_here else ())]
     words = [None if label is None else np.unique(label, return_inverse=True)[1] for label in (*labels, split)]
     canonical = by_content([time, *held, *words])
     timed = time is not None and bool(np.isfinite(time[source.usable]).all())
@@ -209,10 +208,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
     if quaternion is not None:
         note_stale(source, stale)
-    rotation = None if quaternion is None else turned(quaternion).as_matrix()
-    if rotation is not None and not plain:
-        observed = np.hstack([position, rotation.reshape(-1, 9)])
-    channels, sigma = _channels(settings)
+    if of_target:
+        observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
         names=asked.readings,
@@ -225,10 +222,10 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         line=table.line,
         order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
         readings=q,
-        channels=channels,
-        position=position,
-        rotation=rotation,
-        sigma=sigma,
+        blocks=(_block_of(settings),),
+        block=np.zeros(len(table), dtype=int),
+        observed=observed if asked.require_pose else np.zeros((len(table), 0)),
+        refers=refers,
         relative=None,
         covariates=covariates,
         station=station,
@@ -237,12 +234,9 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         doubtful=doubtful,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         split_given=split is not None,
+        target=target if asked.require_pose else None,
     )
-    if not plain:
-        made = Block(settings.title, settings.kind, channels, sigma)
-        nothing = np.zeros(len(table), dtype=int)
-        rows = replace(rows, blocks=(made,), block=nothing, observed=observed, refers=refers, target=target)
-    numbers = sum(channel.size for channel in channels)
+    numbers = sum(channel.size for channel in rows.channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
     return rows, chosen, noise
 
@@ -271,17 +265,21 @@ def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
     """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
-    channels, sigma = _channels(settings)
-    made = Block(settings.title, settings.kind, channels, sigma)
-    rows = replace(like.rows.select(np.zeros(0, dtype=int)), files=(), sha256="", refused=(), notices=(), rotation=None)
-    return _Part(replace(rows, channels=channels, sigma=sigma, split_given=True, blocks=(made,)), RowNoise())
+    rows = replace(like.rows.select(np.zeros(0, dtype=int)), files=(), sha256="", refused=(), notices=())
+    return _Part(replace(rows, split_given=True, blocks=(_block_of(settings),)), RowNoise())
 
 
-def _channels(settings: MeasurementSettings) -> tuple[Channels, tuple[float | None, ...]]:
-    """Channels of a block and their declared sigmas."""
-    kind = KINDS.get(settings.kind)
-    channels = (TARGET_POSITION, TARGET_ROTATION) if kind is None else kind.channels
-    return channels, tuple(getattr(settings.noise, channel.name) for channel in channels)
+def _block_of(settings: MeasurementSettings) -> Block:
+    """A block with its channels and their declared sigmas."""
+    channels = settings.traits.channels
+    sigma = tuple(getattr(settings.noise, channel.name) for channel in channels)
+    return Block(settings.title, settings.kind, channels, sigma)
+
+
+def _direct(campaign: Campaign, rows: Dataset) -> bool:
+    """True where a tracker alone measures, and nothing tells a target of several or a link that it is on."""
+    only = len(campaign.blocks) == 1 and rows.blocks[0].traits.tracked
+    return only and rows.target is None and not campaign.links
 
 
 def _words(source: Source, quantity: str) -> np.ndarray | None:

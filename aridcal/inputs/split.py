@@ -36,7 +36,7 @@ def repeated(data: Dataset) -> np.ndarray:
 
 def _with_things(data: Dataset, of_arm: np.ndarray) -> np.ndarray:
     """Numbers of rows of one arm's place, shape (N,), but of things with few rows all rows of one."""
-    if not data.blocks:
+    if data.direct:
         return of_arm
     labels = np.column_stack([data.block.astype(str), data.refers])
     thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)

@@ -366,6 +366,14 @@ def _noise(observed: np.ndarray, states: States) -> np.ndarray:
     return _of_rows(observed, states).covariance
 
 
+def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the camera, the head being as declared."""
+    if not len(observed):
+        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+    found = _of_rows(observed, states)
+    return found.position, found.rotation
+
+
 def _of_rows(observed: np.ndarray, states: States) -> Reduced:
     """Rows of one head, reduced."""
     head = Head.of_state(states[0][0])
@@ -392,7 +400,7 @@ CAMERA_SONAR = Kind(
     derivatives=_seen,
     located=None,
     turns=True,
-    places=True,
+    placed=_placed,
     missing=_missing,
     noise=_noise,
 )

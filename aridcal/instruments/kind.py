@@ -76,6 +76,9 @@ Residual = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
 Derivatives = Callable[[np.ndarray, np.ndarray, np.ndarray, States], Seen]
 """The same, to a :class:`Seen`."""
 
+Placed = Callable[[np.ndarray, States], tuple[np.ndarray, np.ndarray | None]]
+"""What was read (n, W) and states: to positions (n, 3) of the target in the world, and rotations (n, 3, 3) if rows tell them."""
+
 Located = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
 """The same for the rows of one thing of the last role, whose own state is not looked at: to its state, shape (P,). Closed
 form or linear; NaN where these rows cannot tell."""
@@ -97,7 +100,7 @@ class Kind:
         turns: False if the target's own rotation does not matter: it is a point.
         condition: True where a row says that a condition holds (the target is in the socket, on the plate): what was observed
             are then the readings of the joints.
-        places: True where a row measures the target's own place in the world.
+        placed: Where a row alone has the target in the world; None for kinds that do not tell it.
         bare: True where the target is the end of the row's path itself, a link's own frame: nothing of it is unknown.
         images: True where rows are marks in images, many of which show several: the cameras see the tip, or are on it.
         level: True where a row tells the vertical alone, and no length: a sensor has a frame of its own on the tip.
@@ -117,12 +120,17 @@ class Kind:
     located: Located | None
     turns: bool = False
     condition: bool = False
-    places: bool = False
+    placed: Placed | None = None
     bare: bool = False
     images: bool = False
     level: bool = False
     missing: Callable[[np.ndarray, int], np.ndarray] | None = None
     noise: Callable[[np.ndarray, States], np.ndarray] | None = None
+
+    @property
+    def places(self) -> bool:
+        """True where a row measures the target's own place in the world."""
+        return self.placed is not None
 
     @property
     def of_head(self) -> bool:

@@ -159,6 +159,16 @@ def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: State
     return Seen(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
 
 
+def pose_numbers(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
+    """What rows of positions (N, 3) and of rotations (N, 3, 3), if there are any, read: shape (N, 3 or 12)."""
+    return position if rotation is None else np.hstack([position, rotation.reshape(-1, 9)])
+
+
+def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarray | None]:
+    """Positions and rotations as they were read."""
+    return observed[:, :3], observed[:, 3:].reshape(-1, 3, 3) if observed.shape[1] > 3 else None
+
+
 XYZ = ("x", "y", "z")
 """Columns of a position; those of a rotation matrix follow row by row."""
 
@@ -171,7 +181,7 @@ POSITION = Kind(
     _position,
     _position_seen,
     None,
-    places=True,
+    placed=_placed,
 )
 
 POSE = Kind(
@@ -184,5 +194,5 @@ POSE = Kind(
     derivatives=_pose_seen,
     located=None,
     turns=True,
-    places=True,
+    placed=_placed,
 )

@@ -36,6 +36,16 @@ def stretches(rows: slice | np.ndarray, n: int) -> list[slice | np.ndarray]:
     return [*parts] if isinstance(rows, slice) else [rows[part] for part in parts]
 
 
+BLOCK = 2048
+"""Rows differentiated at a time: they stay in the cache, and memory stays flat."""
+
+
+def blocks(n: int) -> list[slice]:
+    """Stretches of n rows that are differentiated at a time."""
+    begins = starts(n, BLOCK)
+    return [slice(start, n if start == begins[-1] else start + BLOCK) for start in begins]
+
+
 def starts(n: int, size: int) -> range:
     """Where stretches of so many of n rows begin; too few at the end to be walked together go with those before."""
     return range(0, max(n - MANY + 1, min(n, 1)), size)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -10,14 +10,29 @@ import numpy as np
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Block, Instruments, Things
+from aridcal.model.many_rows import blocks, stretches
 from aridcal.model.model import Model, Rows
 
 States = Mapping[str, np.ndarray]
 """Where things are, (L, P) by role."""
+
+AGREEING = 6
+"""Steps in which readings are moved until the measurements agree; each squares what is left."""
+
+LARGEST = 0.1
+"""[rad] and [m] from a reading to where its measurement agrees: farther is no small correction."""
+
+ENOUGH = 1e-4
+"""[rad] and [m] of a step after which rows agree to its square: no column is then off by more than rounding shows."""
+
+ALONG = 1e-4
+"""Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
+
+TINY = 1e-300
+"""What keeps a row that no joint moves from a division by zero."""
 
 
 @dataclass(frozen=True)
@@ -57,10 +72,29 @@ class Slopes:
 
 
 @dataclass(frozen=True)
-class Measured:
-    """What rows read, and of which things: N rows of m numbers.
+class Sight:
+    """What n rows of m numbers see of a model at some values of its K coefficients, and how that changes.
 
     Attributes:
+        residual: Measured minus predicted, shape (n, m); NaN where a row does not measure a channel.
+        by_coefficient: What each coefficient takes off it, things held, shape (n, m, K).
+        by_thing: What each component of the row's own thing of the role of which there may be many does, shape (n, m, u).
+        agreed: Joint positions nearer to where measurements and model agree, shape (n, joints).
+    """
+
+    residual: np.ndarray
+    by_coefficient: np.ndarray
+    by_thing: np.ndarray
+    agreed: np.ndarray
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What rows read, and of which things, beside the model that is to predict it: N rows of m numbers.
+
+    Attributes:
+        model: K coefficients.
+        rows: The rows as it sees them.
         blocks: Of the data set.
         parts: Columns of each block's numbers in a row's residual.
         block: Number of each row's block, shape (N,).
@@ -69,8 +103,14 @@ class Measured:
         instruments: All things, as they are known beforehand.
         moved: Coefficients of the model that move things.
         width: Numbers m of a row.
+        states: Where the things are.
+        wide: Where rows say that a condition holds, the model with each joint's own motion behind its coefficients; else None.
+        agreed: Joint positions at which the measurements agree with the model, shape (N, joints): there the rows are
+            differentiated. None: at the readings themselves.
     """
 
+    model: Model
+    rows: Rows
     blocks: tuple[Block, ...]
     parts: tuple[slice, ...]
     block: np.ndarray
@@ -79,20 +119,48 @@ class Measured:
     instruments: Instruments
     moved: tuple[Moved, ...]
     width: int
+    states: States
+    wide: Model | None = None
+    agreed: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.block)
 
-    def __getitem__(self, rows: slice | np.ndarray) -> Measured:
-        chosen = self.block[rows], self.observed[rows], self.refers[rows]
-        return replace(self, block=chosen[0], observed=chosen[1], refers=chosen[2])
+    def __getitem__(self, some: slice | np.ndarray) -> Measured:
+        return replace(
+            self,
+            rows=self.rows[some],
+            block=self.block[some],
+            observed=self.observed[some],
+            refers=self.refers[some],
+            agreed=None if self.agreed is None else self.agreed[some],
+        )
+
+    def narrowed(self, kept: Sequence[int]) -> Measured:
+        """The same beside a model of some of the coefficients, ascending."""
+        own = self.model.coefficients
+        varying = [k for k, c in enumerate(own) if not c.basis.constant]
+        columns = [varying.index(k) for k in kept if k in set(varying)]
+        model = self.model.with_coefficients([own[k] for k in kept])
+        return replace(
+            self,
+            model=model,
+            rows=replace(self.rows, phi=self.rows.phi.T[columns].T),
+            moved=_moved(model),
+            wide=None if self.wide is None else model.with_motions(model.own_motions),
+        )
+
+    @property
+    def direct(self) -> bool:
+        """True where a tracker without faults gives the place of the only target: twists of the target are what is left."""
+        return len(self.blocks) == 1 and self.blocks[0].traits.tracked and not self.instruments.things
 
     @property
     def absent(self) -> np.ndarray:
         """Numbers that a row does not measure, shape (N, m) bool."""
         found = np.ones((len(self), self.width), dtype=bool)
         for b, part in enumerate(self.parts):
-            kind, own = self.of_kind(b)
+            kind, own = self._of_kind(b)
             missing = kind.missing(self.observed[own], part.stop - part.start) if kind.missing else False
             found[own, part] = missing
         return found
@@ -100,12 +168,21 @@ class Measured:
     @property
     def conditions(self) -> np.ndarray:
         """Rows that say that a condition holds, shape (N,) bool."""
-        of_block = np.array([KINDS[block.kind].condition for block in self.blocks], dtype=bool)
+        of_block = np.array([block.traits.condition for block in self.blocks], dtype=bool)
         return np.asarray(of_block[self.block])
+
+    @property
+    def lost(self) -> bool:
+        """True if nobody knows where some thing is."""
+        return any(np.isnan(state).any() for state in self.states.values())
 
     def of_kind(self, number: int) -> tuple[Kind, np.ndarray]:
         """The kind of a block, and the numbers of its rows."""
-        return KINDS[self.blocks[number].kind], np.flatnonzero(self.block == number)
+        return self.blocks[number].traits, np.flatnonzero(self.block == number)
+
+    def _of_kind(self, number: int) -> tuple[Kind, np.ndarray | slice]:
+        """The same; of the only block all rows, so that nothing is copied."""
+        return (self.blocks[0].traits, slice(None)) if len(self.blocks) == 1 else self.of_kind(number)
 
     def many(self) -> tuple[np.ndarray, np.ndarray]:
         """Of each row: number of the role of which there may be many (-1: none), as in :attr:`roles`, and of the thing."""
@@ -122,43 +199,132 @@ class Measured:
         """Names of the roles of the things."""
         return tuple(self.instruments.things)
 
-    def residual(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray, rows: Rows, states: States) -> np.ndarray:
+    def residual(self, theta: np.ndarray) -> np.ndarray:
+        """Measured minus predicted, shape (N, m); NaN in channels that a row does not measure.
+
+        Things that the model does not know are solved for from these rows alone, and the freedom that this takes is given back.
+        """
+        if self.lost:
+            R, p = self.model.poses(theta, self.rows)
+            states, stretch = located(self, R, p, theta)
+            return replace(self, states=states).left(R, p, theta) * stretch[:, None]
+        found = np.empty((len(self), self.width))
+        for part in stretches(slice(None), len(self)):  # so that all rows' axes are never there at once
+            here = self[part]
+            found[part] = here.left(*self.model.poses(theta, here.rows), theta)
+        return found
+
+    def settled(self, theta: np.ndarray) -> Measured:
+        """The same with the things that the model does not know found from these rows alone."""
+        if not self.lost:
+            return self
+        R, p = self.model.poses(theta, self.rows)
+        return replace(self, states=located(self, R, p, theta)[0])
+
+    def of_joints(self, theta: np.ndarray, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n, m) of rows that are :attr:`direct`, and what the joints of the model take off them, (n, m, joints).
+
+        Args:
+            theta: Values of the model's coefficients.
+            uneven: True if a row's axes weigh unequally.
+        """
+        R, p, twists = self.model.motions(theta, self.rows)
+        r = self.left(R, p, theta)
+        twists = twists[:, : self.width]
+        if uneven and self.blocks[0].traits.turns:
+            # log(exp(r) exp(-w)) = r - (w + r x w / 2 + ...): matters only where a row's axes weigh unequally.
+            twists[:, 3:] += 0.5 * np.cross(r[:, 3:, None], twists[:, 3:], axis=1)
+        return r, twists
+
+    def sight(self, theta: np.ndarray) -> Sight:
+        """Residuals and their derivatives by coefficients and things."""
+        if self.conditions.any():
+            R, p = self.model.poses(theta, self.rows)
+            here = replace(self, states=located(self, R, p, theta)[0])
+            left = here.left(R, p, theta)
+            slopes, J, at = here.where_they_agree(theta)
+        else:
+            R, p, J = _each_once(lambda some: self.model.jacobian(theta, some), self.rows)
+            slopes = replace(self, states=located(self, R, p, theta)[0]).slopes(R, p, theta)
+            left, J, at = slopes.residual, slopes.by_twist @ J, self.rows.positions
+        for c, column in zip(self.moved, slopes.by_moved, strict=True):
+            J[:, :, c.index] = column
+        return Sight(np.nan_to_num(left), J, slopes.by_thing, at)
+
+    def agreeing(self, theta: np.ndarray) -> Measured:
+        """The same with its rows differentiated where measurements and model agree: readings moved as little as possible.
+
+        What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known)
+        turns or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero.
+        These are the derivatives of the Gauss-Helmert model (Helmert 1872): readings were observed, and a measurement is a
+        condition on them.
+        """
+        if not self.conditions.any():
+            return replace(self, agreed=self.rows.positions)
+        here, before = self, self.rows.positions if self.agreed is None else self.agreed
+        for _ in range(AGREEING):
+            known = here.settled(theta)
+            nearer = np.concatenate([known[part].where_they_agree(theta)[2] for part in blocks(len(self))])
+            here, step, before = replace(here, agreed=nearer), np.abs(nearer - before).max(initial=0.0), nearer
+            if step < ENOUGH:
+                break
+        return here
+
+    def where_they_agree(self, theta: np.ndarray) -> tuple[Slopes, np.ndarray, np.ndarray]:
+        """How rows change there, columns of the coefficients (n, m, K), and positions nearer to it (n, joints)."""
+        assert self.wide is not None
+        readings, count = self.rows.positions, len(theta)
+        at = readings if self.agreed is None else self.agreed
+        beyond = np.zeros(len(self.wide.coefficients) - count)
+        R, p, J = self.wide.jacobian(np.concatenate([theta, beyond]), replace(self.rows, positions=at))
+        slopes = self.slopes(R, p, theta)
+        J = slopes.by_twist @ J
+        own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
+        # The shortest way from the readings: what is left here, and what has been gone already.
+        asked = seen + np.einsum("nmj,nj->nm", own, at - readings)
+        back = own.transpose(0, 2, 1)
+        square = own @ back
+        # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
+        weak = ALONG**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
+        off = (back @ np.linalg.solve(square + weak + TINY * np.eye(square.shape[1]), asked[:, :, None]))[:, :, 0]
+        off[~self.conditions] = 0.0
+        return slopes, J[:, :, :count], readings + np.clip(off, -LARGEST, LARGEST)
+
+    def left(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Measured minus predicted, shape (N, m), NaN in channels that a row does not measure.
 
         Args:
             R: Predicted rotations of the target, shape (N, 3, 3).
             p: Its positions, shape (N, 3), [m].
             theta: Values of the model's coefficients.
-            rows: The rows as the model sees them: bases of what changes from row to row.
-            states: Where the things are.
         """
         r = np.full((len(self), self.width), np.nan)
         for b, part in enumerate(self.parts):
-            kind, own = self.of_kind(b)
-            if len(own):
-                observed = kind.numbers(self.observed[own])
-                r[own, part] = kind.residual(R[own], p[own], observed, self._states(kind, own, theta, rows, states)[0])
+            kind, own = self._of_kind(b)
+            if len(self.block[own]):
+                now, _ = self._states(kind, own, theta)
+                r[own, part] = kind.residual(R[own], p[own], kind.numbers(self.observed[own]), now)
         return r
 
-    def slopes(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray, rows: Rows, states: States) -> Slopes:
-        """The same with its derivatives; see :meth:`residual`."""
+    def slopes(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> Slopes:
+        """The same with its derivatives; see :meth:`left`."""
         n, m = len(self), self.width
         widest = max((len(t.role.components) for t in self.instruments.things.values() if t.role.many), default=0)
         r, twist = np.full((n, m), np.nan), np.zeros((n, m, 6))
         by_thing = np.zeros((n, m, widest))
         by_moved = tuple(np.zeros((n, m)) for _ in self.moved)
         for b, part in enumerate(self.parts):
-            kind, own = self.of_kind(b)
-            if not len(own):
+            kind, own = self._of_kind(b)
+            if not len(self.block[own]):
                 continue
-            now, changes = self._states(kind, own, theta, rows, states)
+            now, changes = self._states(kind, own, theta)
             seen = kind.derivatives(R[own], p[own], kind.numbers(self.observed[own]), now)
             r[own, part], twist[own, part] = seen.residual, seen.by_twist
+            row = np.arange(n)[own]
             for k, (role, change) in enumerate(zip(kind.roles, changes, strict=True)):
-                by_state = seen.by_state[k]
-                thing = self.refers[own, k]
+                by_state, thing = seen.by_state[k], self.refers[own, k]
                 if role.slope is not None:
-                    by_state = by_state @ role.slope(states[role.name][thing], change)
+                    by_state = by_state @ role.slope(self.states[role.name][thing], change)
                 if role.many:
                     by_thing[own, part, : by_state.shape[2]] = by_state
                 for number, c in enumerate(self.moved):
@@ -166,28 +332,44 @@ class Measured:
                         hit = thing == c.thing
                         value = by_state[hit][:, :, c.components].sum(axis=2)
                         if c.varying is not None:
-                            value = value * rows.phi[own[hit], c.varying][:, None]
-                        by_moved[number][own[hit], part] = value
+                            value = value * self.rows.phi[row[hit], c.varying][:, None]
+                        by_moved[number][row[hit], part] = value
         return Slopes(r, twist, by_moved, by_thing)
 
     def _states(
-        self, kind: Kind, own: np.ndarray, theta: np.ndarray, rows: Rows, states: States
+        self, kind: Kind, own: np.ndarray | slice, theta: np.ndarray
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """State and change of the things of some rows, for each role of their kind: (n, P) and (n, u)."""
+        """State and change of the things of some rows, for each role of their kind: (n, P) and (n, u); 0 of what has no fault."""
         now, changes = [], []
         for k, role in enumerate(kind.roles):
             thing = self.refers[own, k]
-            start = states[role.name][thing]
+            if role.name not in self.instruments.things:
+                now.append(np.zeros((len(thing), role.size)))
+                changes.append(np.zeros((len(thing), len(role.components))))
+                continue
+            start = self.states[role.name][thing]
             role = self.instruments.things[role.name].role  # a head has components of its own
-            change = np.zeros((len(own), len(role.components)))
+            change = np.zeros((len(thing), len(role.components)))
             moved = [c for c in self.moved if c.role == role.name]
             for c in moved:
                 hit = thing == c.thing
-                step = theta[c.index] if c.varying is None else theta[c.index] * rows.phi[own[hit], c.varying]
+                step = theta[c.index] if c.varying is None else theta[c.index] * self.rows.phi[own][hit, c.varying]
                 change[np.ix_(hit, c.components)] += np.reshape(step, (-1, 1))
             now.append(role.moved(start, change) if moved else start)
             changes.append(change)
         return now, changes
+
+
+def _each_once(ask: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows) -> tuple[np.ndarray, ...]:
+    """What a model says of rows, one of several that follow one another alike asked for all: the marks in one image."""
+    route = np.zeros(len(rows)) if rows.route is None else rows.route  # one image may show marks of several limbs
+    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip, route])
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = np.any(told[1:] != told[:-1], axis=1)
+    if new.all():
+        return ask(rows)
+    number = np.cumsum(new) - 1
+    return tuple(said[number] for said in ask(rows[np.flatnonzero(new)]))
 
 
 def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None) -> Rows:
@@ -207,22 +389,29 @@ def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None
     return model.rows(at, data.conditions, data.station, data.target, route)
 
 
-def measured(model: Model, data: Dataset) -> Measured | None:
-    """What the rows of a data set read, for a model; None where all that they measure is the target's own pose.
+def measured(model: Model, data: Dataset) -> Measured:
+    """What the rows of a data set read, beside a model; things that this does not know are added to those that it knows.
 
-    Things that the model does not know are added to those that it knows.
+    Raises:
+        CovariateNotFound: an effect depends on a column that was not measured.
+        MeasurementError: see :func:`rows_of_data`.
     """
-    if not data.blocks:
-        return None
     instruments, number = joined(model.instruments, data.instruments)
     refers = np.full(data.refers.shape, -1)
     for b, block in enumerate(data.blocks):
         own = np.flatnonzero(data.block == b)
-        for k, role in enumerate(KINDS[block.kind].roles):
-            labels, which = np.unique(data.refers[own, k], return_inverse=True)
-            refers[own, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
+        for k, role in enumerate(block.traits.roles):
+            if role.name in number:
+                labels, which = np.unique(data.refers[own, k], return_inverse=True)
+                refers[own, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
     ends = np.cumsum([0, *(sum(c.size for c in block.channels) for block in data.blocks)]).tolist()
+    states = {name: t.start for name, t in instruments.things.items()}
+    for name, state in model.states.items():
+        states[name] = np.vstack([state, states[name][len(state) :]])
+    conditional = any(block.traits.condition for block in data.blocks)
     return Measured(
+        model=model,
+        rows=rows_of_data(model, data),
         blocks=data.blocks,
         parts=tuple(slice(low, high) for low, high in pairwise(ends)),
         block=data.block,
@@ -231,6 +420,8 @@ def measured(model: Model, data: Dataset) -> Measured | None:
         instruments=instruments,
         moved=_moved(model),
         width=columns(data.channels)[-1].stop,
+        states=states,
+        wide=model.with_motions(model.own_motions) if conditional else None,
     )
 
 
@@ -281,10 +472,14 @@ FOUND = 1e-10
 """Change of its components that ends this: rounding."""
 
 
-def located(
-    seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, rows: Rows, states: States
-) -> tuple[States, np.ndarray]:
+def located(seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> tuple[States, np.ndarray]:
     """Solve for the things whose place nobody knows, each from its own rows, all else held.
+
+    Args:
+        seen: N rows.
+        R: Predicted rotations of the target, shape (N, 3, 3).
+        p: Its positions, shape (N, 3), [m].
+        theta: Values of the model's coefficients.
 
     Returns:
         The states with these, and by what each row's residual is to be stretched, shape (N,), so that its squares count as
@@ -292,48 +487,41 @@ def located(
     """
     stretch = np.ones(len(seen))
     role, thing = seen.many()
-    found = dict(states)
+    found = dict(seen.states)
     for number, name in enumerate(seen.roles):
-        lost = np.atleast_1d(np.isnan(states[name]).any(axis=1))
+        lost = np.atleast_1d(np.isnan(seen.states[name]).any(axis=1))
         here = np.flatnonzero(role == number)
         asked = np.unique(thing[here])
         asked = asked[lost[asked]]
         if len(asked):
-            found[name] = states[name].copy()
+            found[name] = seen.states[name].copy()
         for k in asked.tolist():
             own = here[thing[here] == k]
-            part = seen[own]
+            part = replace(seen[own], states=found)
             free = seen.instruments.things[name].free[k]
-            found[name][k], rank = _one(part, R[own], p[own], theta, rows[own], found, name, k, free)
+            found[name][k], rank = _one(part, R[own], p[own], theta, name, k, free)
             count = float((~part.absent).sum())
             stretch[own] = np.sqrt(count / (count - rank)) if count > rank else np.nan
     return found, stretch
 
 
 def _one(
-    part: Measured,
-    R: np.ndarray,
-    p: np.ndarray,
-    theta: np.ndarray,
-    rows: Rows,
-    states: States,
-    name: str,
-    k: int,
-    free: np.ndarray,
+    part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int, free: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """State (P,) of one thing from its rows alone, and how many of its components these tell."""
-    kind, first = part.of_kind(int(part.block[0]))
-    now = [states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
+    number = int(part.block[0])
+    kind = part.blocks[number].traits
+    first = np.flatnonzero(part.block == number)
+    now = [part.states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
     start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), now) if kind.located else None
     if start is None or not np.isfinite(start).all():
-        return states[name][k], int(free.sum())
+        return part.states[name][k], int(free.sum())
     role = part.instruments.things[name].role
-    trial = dict(states)
     rank = int(free.sum())
     for _ in range(LOCATING):
-        trial[name] = states[name].copy()
-        trial[name][k] = start
-        slopes = part.slopes(R, p, theta, rows, trial)
+        state = part.states[name].copy()
+        state[k] = start
+        slopes = replace(part, states={**part.states, name: state}).slopes(R, p, theta)
         there = ~np.isnan(slopes.residual)
         B, r = slopes.by_thing[there][:, : len(free)][:, free], slopes.residual[there]
         step, _, rank, _ = np.linalg.lstsq(B, r, rcond=1e-10)

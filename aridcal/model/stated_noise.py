@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from aridcal.inputs.dataset import Dataset, RowNoise, weighed
+from aridcal.inputs.dataset import Dataset, RowNoise, of_block, weighed, with_sigma
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns
 
@@ -35,12 +35,12 @@ def with_stated_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Datase
             covariance = kind.noise(kind.numbers(data.observed[own]), now)
             count = len(kind.channels)
             noise = RowNoise(covariance=covariance, absolute=block.rows == "absolute")
-            part = replace(data.select(own), channels=kind.channels, sigma=data.sigma[channel : channel + count])
-            made = weighed(part, noise)
+            stated = replace(block, channels=kind.channels, sigma=block.sigma[:count])
+            made = weighed(replace(of_block(data, number, own), blocks=(stated,)), noise)
             some = slice(first, first + covariance.shape[1])
             relative[own, some, some] = made.relative
             sigma[channel : channel + count] = made.sigma
             found = True
         first += sum(c.size for c in block.channels)
         channel += len(block.channels)
-    return replace(data, relative=relative, sigma=tuple(sigma)) if found else data
+    return with_sigma(replace(data, relative=relative), sigma) if found else data

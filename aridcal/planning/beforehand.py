@@ -21,7 +21,6 @@ from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS, labelled
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
 from aridcal.model.reaching import draw_readings
@@ -221,11 +220,11 @@ def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
 
 def _patterns(rows: Dataset) -> Dataset:
     """One row for everything that rows of the first block refer to, at the station of the last row."""
-    own = rows.block == 0 if rows.blocks else np.ones(len(rows), dtype=bool)
+    own = rows.block == 0
     if rows.station is not None:
         own &= rows.station == rows.station[rows.as_read[-1]]
     told = np.full((len(rows), 1), "") if rows.target is None else rows.target[:, None].astype(str)
-    told = np.hstack([rows.refers.astype(str), told]) if rows.blocks else told
+    told = np.hstack([rows.refers.astype(str), told])
     number = np.flatnonzero(own)
     _, first = np.unique(told[own], axis=0, return_index=True)
     some = rows.select(number[np.sort(first)])
@@ -248,28 +247,22 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     labels = _targets(campaign, robot)
     refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
     middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
-    poses = settings.traits.oriented
-    rotation = np.tile(np.eye(3), (len(refers), 1, 1)) if poses else None
-    rows = dataset(robot.readings, robot.kinds, np.tile(middle, (len(refers), 1)), np.zeros((len(refers), 3)), rotation)
-    kind = KINDS[settings.kind]
-    channels = (TARGET_POSITION, TARGET_ROTATION) if poses else kind.channels
+    kind, n = settings.traits, len(refers)
+    channels = kind.channels
     stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
     sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
+    turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
+    rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
     directions = tuple(f"{name}_direction" for name in robot.readings)
-    middle_of_play = dict.fromkeys(directions, np.zeros(len(refers)))
-    rows = replace(rows, channels=channels, sigma=tuple(sigma.tolist()), covariates=middle_of_play, derived=directions)
-    if labels or not settings.traits.tracked:
-        blocks = (Block(settings.title, settings.kind, channels, rows.sigma),)
-        block = np.zeros(len(refers), dtype=int)
-        refers = with_trackers(refers, blocks, block, robot.readings)
+    rows = replace(rows, covariates=dict.fromkeys(directions, np.zeros(n)), derived=directions)
+    if labels or not kind.tracked:
+        blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
+        refers = with_trackers(refers, blocks, rows.block, robot.readings)
         made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
         rows = replace(
             rows,
-            position=np.full((len(refers), 3), np.nan),
-            rotation=None,
             blocks=blocks,
-            block=block,
-            observed=np.zeros((len(refers), max(1, len(kind.read)))),
+            observed=np.zeros((n, max(1, len(kind.read)))),
             refers=refers,
             instruments=made,
         )

@@ -100,7 +100,7 @@ def offers(known: Beforehand) -> Offers:
     titles: list[dict[str, str]] = []
     for k in range(n):
         own = {"target": str(rows.target[k])} if several and rows.target is not None else {}
-        if rows.blocks and rows.refers[k, 0] and not kind.tracked:
+        if rows.refers[k, 0] and not kind.tracked:
             own |= {kind.roles[0].name: str(rows.refers[k, 0])}
         own |= {} if rows.station is None else {"station": str(rows.station[k])}
         titles.append(own)
@@ -117,7 +117,7 @@ def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> D
     """
     made = replace(known.patterns.select(pattern), readings=readings)
     kind = known.campaign.measurements.traits
-    if not made.blocks or not (kind.tracked or kind.level):
+    if made.direct or not (kind.tracked or kind.level):
         return made
     # turns are compared with what was seen
     R, p = known.model.poses(known.theta, rows_of_data(known.model, made, readings))
@@ -287,7 +287,6 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
     if not known.campaign.measurements.traits.images or n == 0:
         return np.ones((n, m), dtype=bool)
     asked = problem(known.model, rows_like(known, np.repeat(readings[:1], m, axis=0), own))
-    assert asked.measured is not None
     refers = asked.measured.refers
     states = [
         np.tile(asked.states[role.name][refers[:, k]], (n, 1))

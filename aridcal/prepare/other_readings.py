@@ -117,7 +117,7 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     Raises:
         NotOfThisRobot: naming the reading that fits, and the remedy.
     """
-    if rows.blocks:  # of these kinds no other readings are known
+    if not rows.direct:  # of these kinds no other readings are known
         return
     train = rows.fitted
     labels = station_labels(campaign, rows)

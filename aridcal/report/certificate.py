@@ -200,7 +200,7 @@ def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
 
 def kinds_in_words(m: Dataset) -> list[str]:
     """What the rows measure, each once."""
-    if not m.blocks:
+    if m.direct:
         return ["poses" if m.sees_turns else "positions"]
     return list(dict.fromkeys(KINDS[block.kind].words for block in m.blocks))
 
@@ -298,7 +298,7 @@ def _uncertainty(outcome: Outcome, known: _Known | None) -> str:
     scale = "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in scale_in_words(outcome))
     if known is None:
         return f"These rows do not tell where the target is, so no uncertainty of its place can be stated.{scale}"
-    agreed = sigma_and_error(outcome) if outcome.measurements.blocks else None
+    agreed = None if outcome.measurements.direct else sigma_and_error(outcome)
     consistent = (
         f" The rows agree to {number(agreed[1])} mm RMS at the target: that is consistency, not accuracy."
         if agreed is not None and known.median > agreed[1]

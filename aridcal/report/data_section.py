@@ -82,7 +82,7 @@ def _blocks(outcome: Outcome) -> Html:
 
 def _repeats(outcome: Outcome) -> Content:
     """Scatter of configurations that were measured more than once."""
-    found, several = outcome.repeats, bool(outcome.measurements.blocks)
+    found, several = outcome.repeats, not outcome.measurements.direct
     if found is None:
         nothing = (
             "Nothing was measured twice at one configuration" if several else "No configuration was measured twice"
@@ -151,8 +151,6 @@ def row_place(m: Dataset, k: int) -> str:
 
 def _of_things(m: Dataset, k: int) -> str:
     """What a row refers to, in brackets."""
-    if not m.blocks:
-        return ""
     roles = labelled(m.blocks[m.block[k]].kind)
     labels = [str(label) for label in m.refers[k, : len(roles)] if label]
     return f" ({', '.join(labels)})" if labels else ""

@@ -304,7 +304,7 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
     causes = causes_in_words(outcome)
     whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
     in_all = (
-        f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or not outcome.measurements.blocks else ""
+        f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or outcome.measurements.direct else ""
     )
     if outcome.noise_source == "declared":
         yield f" Declared noise{whose}: {per_axis}{in_all}."
@@ -331,7 +331,7 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from kept_in_words(outcome, asked=False)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
-    known = sigma_and_error(outcome) if outcome.measurements.blocks else None
+    known = None if outcome.measurements.direct else sigma_and_error(outcome)
     if known is not None:
         sigma, error = known
         more = (

@@ -10,7 +10,6 @@ from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import histogram, of_cloud, panels
 from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
 from aridcal.drawing.words import reading_in_words
-from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.second_look_section import halves, left_out
@@ -79,11 +78,9 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
 
 def _error_words(outcome: Outcome) -> Html:
     """What the lines of the error tables are."""
-    effects, kinds = bool(outcome.effects), [KINDS[block.kind] for block in outcome.measurements.blocks]
-    what = (
-        "".join(f"{OF_KINDS[kind.name]} " for kind in dict.fromkeys(kinds))
-        or "A position error is the length of the residual, a rotation error the angle of the residual rotation. "
-    )
+    effects = bool(outcome.effects)
+    kinds = dict.fromkeys(block.kind for block in outcome.measurements.blocks)
+    what = "".join(f"{OF_KINDS[kind]} " for kind in kinds)
     added = " Each line with a + adds one effect to the model above it, and all coefficients are fitted again."
     return tag(
         "p",
@@ -131,7 +128,7 @@ def _axis_table(outcome: Outcome) -> Html:
     axes, told = _axes(outcome.channels), spread(np.array([not c.inner for c in outcome.channels]), outcome.channels)
     found = [(step.title, axis_rms(step.residual[mask], outcome.channels)[told]) for step in path]
     lines = [[title, *(number(v) for v in values)] for title, values in found]
-    own = "each number read" if outcome.measurements.blocks else "the residual in world axes"
+    own = "the residual in world axes" if outcome.measurements.direct else "each number read"
     return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
 
@@ -158,16 +155,16 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
 def _workspace(outcome: Outcome) -> Html:
     """Errors at the target over the three planes of the world."""
     sound = ~outcome.outlier
-    if outcome.measurements.blocks:
+    if outcome.measurements.direct:
+        error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
+        points = outcome.measurements.position[sound]
+    else:
         shift = outcome.at_target.shift(outcome.stages[-1].residual)
         sound &= ~np.isnan(shift).any(axis=1)
         error, points = 1e3 * np.linalg.norm(shift[sound], axis=1), _in_world(outcome)[sound]
-    else:
-        error = row_errors(outcome.stages[-1].residual[sound], outcome.channels)[0]
-        points = outcome.measurements.position[sound]
     if not len(error):
         return tag("p", "None of these rows tells where the target is.")
-    what = "Error at the target" if outcome.measurements.blocks else "Position error"
+    what = "Position error" if outcome.measurements.direct else "Error at the target"
     drawn: list[tuple[Content, Html]] = []
     colors = color_steps(error)
     for a, b in ((0, 1), (0, 2), (1, 2)):

@@ -96,7 +96,7 @@ def identified(outcome: Outcome) -> Iterator[Content]:
         tag("code", "tip_target"), " the pose of the measured target on the tip. Their ± is a twist in the frame's own "
         "axes. Neither is in the URDF.",
         " No instrument knows a frame of the world here, so that it is the base's own."
-        if outcome.measurements.blocks and not has_world(outcome.measurements)
+        if not outcome.measurements.direct and not has_world(outcome.measurements)
         else "",
     )  # fmt: skip
     yield from _frames(outcome)

@@ -96,7 +96,7 @@ def _chapters(outcome: Outcome, handover: Handover, progress: Progress, beside: 
     chapters.append(("iso", "ISO 9283", iso(outcome)))
     if outcome.verification is not None:
         chapters.append(("verification", "Verification on another day's data", verification(outcome)))
-    if outcome.measurements.blocks and (outcome.head is None or outcome.things):  # a head has a chapter of its own
+    if not outcome.measurements.direct and (outcome.head is None or outcome.things):  # a head has a chapter of its own
         chapters.append(("instruments", "Instruments", instruments(outcome)))
     chapters.append(("parameters", "What was identified", identified(outcome)))
     if outcome.head is not None:

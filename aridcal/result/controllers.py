@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import indent
 from typing import Any
@@ -18,7 +18,7 @@ from aridcal.fit.least_squares import Fit, fit, fit_identifiable, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_sigma
 from aridcal.instruments.channels import Channel, columns
 from aridcal.model.model import Model
 from aridcal.result.key_figures import scored
@@ -108,7 +108,7 @@ def hand_over(outcome: Outcome) -> Handover:
         found = recentred(found)
         left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
         apart = left - final.residual[judged]
-        if m.blocks:
+        if not m.direct:
             apart = (_predicted(found, m) - outcome.at_target.places)[judged]
         return Export(name, files, _rms(left[:, part]), _rms(apart[:, :3]), found.model)
 
@@ -302,7 +302,7 @@ def _predicted(found: Fit, rows: Dataset) -> np.ndarray:
 def _asked(outcome: Outcome, model: Model) -> Problem:
     """A model asked about some of the rows that the calibration was fitted to, at the noise that it found."""
     m = outcome.measurements
-    rows = replace(m.fitted.select(~outcome.outlier[m.train]), sigma=tuple(outcome.noise.tolist()))
+    rows = with_sigma(m.fitted.select(~outcome.outlier[m.train]), outcome.noise.tolist())
     every = problem(model, rows)
     return every.select(thin(every.rows, ROWS))
 

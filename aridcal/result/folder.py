@@ -379,7 +379,7 @@ def residual_columns(m: Dataset) -> list[str]:
 
 def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
     """What rows of several kinds say beside their numbers, as columns."""
-    if not m.blocks:
+    if m.direct:
         return {}
     names = np.array([block.name for block in m.blocks])
     own, refers = m.block[rows], m.refers[rows]

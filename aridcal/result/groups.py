@@ -81,8 +81,8 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
         The clearest answer; none where rows are too few, or nothing stands out.
     """
     asked = []
-    for number in range(max(len(rows.blocks), 1)):
-        own = np.flatnonzero(rows.block == number) if rows.blocks else np.arange(len(rows))
+    for number in range(len(rows.blocks)):
+        own = np.flatnonzero(rows.block == number)
         if len(own) < FEWEST:
             continue
         own = own[np.linspace(0, len(own) - 1, min(len(own), MOST)).round().astype(int)]

@@ -71,8 +71,6 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     """
     asked = problem(fit.model, train)
     seen = asked.measured
-    if seen is None:
-        return ()
     solved = _solved(asked, fit)
     values: list[ThingValue] = []
     for role, things in seen.instruments.things.items():
@@ -155,7 +153,7 @@ class _Solved:
 
 def _solved(asked: Problem, fit: Fit) -> _Solved | None:
     """The groups of a fit, solved once more where it ended; None where there are none."""
-    if asked.groups is None or asked.measured is None:
+    if asked.groups is None:
         return None
     found = linearise(asked, fit.theta, fit.weight, fit.sigma).groups
     assert found is not None
@@ -235,7 +233,7 @@ def known_scale(rows: Dataset) -> float | None:
         0 where an instrument measures lengths itself, or sees a board of known size; of points the standard deviation of all
         known lengths over these; infinite where no length is known; None where nothing measured has a length.
     """
-    if not rows.blocks or any(block.traits.ranges or block.traits.places for block in rows.blocks) or _gauged(rows):
+    if any(block.traits.ranges or block.traits.places for block in rows.blocks) or _gauged(rows):
         return 0.0
     if all(block.traits.level for block in rows.blocks):
         return None

@@ -10,7 +10,7 @@ from aridcal.fit.closed_form import ClosedForm, closed_form
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.stages import with_things_moved
 from aridcal.head.found import Detections
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_places
 from aridcal.instruments.camera import predict_pixels
 from aridcal.instruments.camera_sonar import HEAD, Head, Reduced, reduced, unpacked
 
@@ -110,7 +110,7 @@ def measuring_head(final: Fit, geometric: Fit, rows: Dataset, fitted: np.ndarray
     both = [reduced(shots, head) for head in (declared, identified)]
     misfit = _scatter(both[0]), _scatter(both[1])
     ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in both])
-    seen = replace(rows, position=both[1].position, rotation=both[1].rotation)
+    seen = with_places(rows, both[1].position, both[1].rotation)
     return MeasuringHead(
         numbers=numbers,
         misfit=misfit,

@@ -185,8 +185,6 @@ def errors(residual: np.ndarray, mask: np.ndarray, channels: Channels) -> dict[s
 
 def leading(rows: Dataset) -> tuple[int, ...]:
     """Channels whose errors judge a calibration: the first of each block; of poses the position."""
-    if not rows.blocks:
-        return (0,)
     first = np.cumsum([0, *(len(block.channels) for block in rows.blocks)])
     return tuple(first[:-1].tolist())
 

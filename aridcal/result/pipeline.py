@@ -407,19 +407,15 @@ def _copied(rows: Dataset, own: Dataset) -> np.ndarray:
 
     width = max(rows.observed.shape[1], own.observed.shape[1])
     nearest, _ = cKDTree(_numbers(own, width)).query(_numbers(rows, width), p=np.inf, distance_upper_bound=SAME)
-    tells = np.isfinite(rows.observed).sum(axis=1) >= TELLING if rows.blocks else np.ones(len(rows), dtype=bool)
+    tells = np.isfinite(rows.observed).sum(axis=1) >= TELLING
     return np.asarray(np.isfinite(nearest) & tells)
 
 
 def _numbers(rows: Dataset, width: int) -> np.ndarray:
     """Joints and measurement of each row, ``width`` numbers of another kind than poses among them, shape (N, numbers)."""
-    n = len(rows)
-    observed = np.full((n, width), np.nan)
-    observed[:, : rows.observed.shape[1]] = rows.observed if rows.blocks else np.nan
-    turns = np.full((n, 9), np.nan) if rows.rotation is None else rows.rotation.reshape(n, 9)
-    return np.nan_to_num(
-        np.hstack([rows.readings, rows.position, turns, observed]), nan=-1e9
-    )  # a hole is like a hole alone
+    observed = np.full((len(rows), width), np.nan)
+    observed[:, : rows.observed.shape[1]] = rows.observed
+    return np.nan_to_num(np.hstack([rows.readings, observed]), nan=-1e9)  # a hole is like a hole alone
 
 
 def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:

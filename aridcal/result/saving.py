@@ -44,10 +44,10 @@ def calibration(outcome: Outcome) -> SavedModel:
     }
     tails = _tails(outcome, final)
     scatter = _scatter(outcome, used, tails)
-    if m.blocks:
-        record["scatter_of_kinds"] = _of_kinds(m, scatter)
-    else:
+    if m.direct:
         record["scatter"] = scatter
+    else:
+        record["scatter_of_kinds"] = _of_kinds(m, scatter)
     target = _saved_target(m, outcome.head is not None)
     if len(target.labels) > 1:
         record["frames_by"] = "target"
@@ -60,10 +60,10 @@ def calibration(outcome: Outcome) -> SavedModel:
         std[:, 3:] = np.inf
     if not target.moves:
         std[:, :3] = np.inf
-    if m.blocks:
-        position, rotation = outcome.at_target.noise(spread(outcome.noise, outcome.channels))
-    else:
+    if m.direct:
         position, rotation = float(outcome.noise[0]), float(outcome.noise[-1])
+    else:
+        position, rotation = outcome.at_target.noise(spread(outcome.noise, outcome.channels))
     saved = SavedModel(
         _solved(outcome.stage("geometric").fit, target),
         solved,
@@ -184,7 +184,7 @@ class _Target:
 
 def _saved_target(m: Dataset, head: bool) -> _Target:
     """The targets that instruments measured; the tip itself where cameras are all there is."""
-    if not m.blocks:
+    if m.direct:
         return _Target((), m.sees_turns, True, head)
     every = () if m.target is None else tuple(sorted(set(m.target.tolist())))
 

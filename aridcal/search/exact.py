@@ -17,7 +17,7 @@ from aridcal.fit.flags import flagged
 from aridcal.fit.identifiable import apart, identifiable
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import Problem, agreeing, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import taking_off, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together, repeated
@@ -203,7 +203,7 @@ def linear_model(
     model = current.model.with_motions(slots)
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     asked = problem(model, start.train)
-    r, J = agreeing(asked, theta).linearised(theta)
+    r, J = asked.agreeing(theta).linearised(theta)
     off = taking_off(asked, theta, current.weight, current.sigma)
     constant = np.flatnonzero([c.basis.constant for c in own])
     A = J[:, :, : len(own)]

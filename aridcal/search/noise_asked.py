@@ -102,7 +102,7 @@ def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
     axes, turned = {}, {}
     position: tuple[object, str] | None = None
     for block, channel, part in _channels(rows):
-        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and (block is None or block.traits.tracked):
+        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and block.traits.tracked:
             axes[channel.name] = scaled(own[:, :, part], rows.relative)
             if channel.axes == TARGET_POSITION.axes:
                 position = block, channel.name
@@ -111,9 +111,9 @@ def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
     return Seen(R, p, axes, turned)
 
 
-def _channels(rows: Dataset) -> Iterator[tuple[Block | None, Channel, slice]]:
+def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
     """Channels, the blocks that they are of, and where their numbers are."""
-    blocks = [b for b in rows.blocks for _ in b.channels] if rows.blocks else [None] * len(rows.channels)
+    blocks = [block for block in rows.blocks for _ in block.channels]
     yield from zip(blocks, rows.channels, columns(rows.channels), strict=True)
 
 
@@ -132,14 +132,14 @@ def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[t
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):
-        tracked = block is None or block.traits.tracked
+        tracked = block.traits.tracked
         # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
         if tracked and channel.axes == TARGET_POSITION.axes:
             yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
         if tracked and channel.axes == TARGET_ROTATION.axes:
             sight = p / np.maximum(away, FLOOR)[:, None]
             yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
-        if block is not None and block.traits.ranges:
+        if block.traits.ranges:
             yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
         if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
             yield "repeatability", channel.name, channel.unit, own[:, :, part]

@@ -133,7 +133,7 @@ def clues(
         found.append(_neighbours(views, part.readings))
         found.append(_order(views, part))
         found += _changes(views, part, progress)
-    if rows.blocks:
+    if not rows.direct:
         found += _of_one_thing(rows, white)
     return found + _stated(rows, sigma, freedom)
 

@@ -26,7 +26,7 @@ CLEARLY = 20.0
 
 def scatter_of(train: Dataset) -> tuple[Effect, ...]:
     """What rows of one place may err by alike; nothing where rows do not lie in places, or see things."""
-    if train.blocks:
+    if not train.direct:
         return ()
     place = held_together(train)
     count = int(place.max(initial=-1)) + 1

@@ -10,7 +10,6 @@ from aridcal.fit.least_squares import Fit
 from aridcal.fit.problem import problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
-from aridcal.model.measured import located
 
 
 @dataclass(frozen=True)
@@ -86,13 +85,12 @@ def at_target(fit: Fit, rows: Dataset) -> AtTarget:
     asked = problem(fit.model, rows)
     R, p = fit.model.poses(fit.theta, asked.rows)
     seen = asked.measured
-    if seen is None:
+    if seen.direct:
         numbers = slice(0, columns(rows.channels)[-1].stop)
         of_all = _lever(np.arange(len(rows)), numbers, np.eye(6)[None, numbers])
         shift, turn = (np.broadcast_to(own, (len(rows), *own.shape[1:])) for own in (of_all.shift, of_all.turn))
         return AtTarget(p, (replace(of_all, shift=shift, turn=turn),))
-    states, _ = located(seen, R, p, fit.theta, asked.rows, asked.states)
-    by_twist = seen.slopes(R, p, fit.theta, asked.rows, states).by_twist
+    by_twist = seen.settled(fit.theta).slopes(R, p, fit.theta).by_twist
     blocks = [(np.flatnonzero(seen.block == b), part) for b, part in enumerate(seen.parts)]
     return AtTarget(p, tuple(_lever(own, part, by_twist[own, part]) for own, part in blocks))
 

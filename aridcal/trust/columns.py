@@ -135,14 +135,11 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         r[block] = np.nan_to_num(piece.r) * root[block]
         for into, columns in ((J, piece.J), (B, piece.B)):
             np.multiply(columns, root[block, :, None], out=into[block])
-        if asked.measured is None and data.relative is None:
+        if asked.measured.direct and data.relative is None:
             target[block] = piece.J[:, :3]  # the target's own position is what rows measure first
-        elif asked.measured is None:
-            twists = fit.model.motions(fit.theta, asked.rows[block])[2]
-            target[block] = fit.model.of_coefficients(twists[:, :3], asked.rows[block])
         else:
             target[block] = fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3]
-    there = np.ones(shape, dtype=bool) if asked.measured is None else ~asked.measured.absent
+    there = ~asked.measured.absent
     nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,

@@ -333,7 +333,8 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
 
     The same rows give the same noise, other rows other noise: what chance made of one campaign is not that of the next.
     """
-    read = b"".join(values.tobytes() for values in (data.readings, data.position, data.observed))
+    of_kinds = () if data.direct else (data.observed,)
+    read = b"".join(values.tobytes() for values in (data.readings, data.position, *of_kinds))
     rng = np.random.default_rng(int.from_bytes(hashlib.sha256(read).digest()))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one place are one measurement

@@ -137,7 +137,7 @@ class Iso9283:
 
 def applies(rows: Dataset) -> bool:
     """True where every row measures the pose or the position of one target: other kinds attain no pose."""
-    return not rows.blocks
+    return rows.direct
 
 
 def iso_9283(

@@ -123,7 +123,7 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings
             cells = counting(settings, robot.readings, robot.kinds).cells(told.readings)
             pairs = zip(robot.readings, cells.tolist(), strict=True)
             at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
-            what = "the target's place here" if checked.rows.blocks else "this"
+            what = "this" if checked.rows.direct else "the target's place here"
             lines.append(f"  measure {what} to tell it from {told.suspect}: {at}")
             if told.joints:
                 lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import f as f_distribution
 
-from aridcal.fit.problem import Problem, agreeing
+from aridcal.fit.problem import Problem
 from aridcal.fit.tails import log_density, weights
 from aridcal.trust.wander import Wandering, zero_of
 from aridcal.upkeep.realign import frame_start
@@ -104,10 +104,9 @@ class Question:
 
     def at(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n,) and columns (n, K) of the rows that count, in sigmas."""
-        seen, counted = self.problem.measured, self.counted
+        counted = self.counted
         # A base around unknown points seems to explain what it only turns: columns are taken where rows and model agree.
-        of_conditions = seen is not None and bool(seen.conditions.any())
-        pieces = (agreeing(self.problem, theta) if of_conditions else self.problem).pieces(theta)
+        pieces = self.problem.agreeing(theta).pieces(theta)
         r = pieces.r / self.sigma
         J = pieces.J / self.sigma[:, None]
         return r[counted], J[counted]

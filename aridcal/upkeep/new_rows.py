@@ -24,6 +24,7 @@ from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels
+from aridcal.instruments.setup import Instruments
 from aridcal.reading.names import check_path
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.drive import NOTHING
@@ -211,7 +212,7 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
         MeasurementError: the calibration has several targets, and a row does not say which it is of.
     """
     known = [label for label, _ in saved.final.model.tip_target]
-    if rows.target is None and rows.blocks and other:
+    if rows.target is None and not rows.direct and other:
         names = [own_target(b.traits, b.name) for b in rows.blocks]
         rows = replace(rows, target=np.array(names)[rows.block])
     if rows.target is None and saved.frames_by == "target":
@@ -230,9 +231,9 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
 
 
 def _plain(rows: Dataset) -> Dataset:
-    """Rows of one block that measure the pose or position of one target, as arrays of these."""
-    if len(rows.blocks) == 1 and rows.blocks[0].traits.tracked and rows.target is None:
-        return replace(rows, blocks=())
+    """Rows of one tracker and one target with this tracker as faultless, as the calibration's own are."""
+    if len(rows.blocks) == 1 and rows.blocks[0].traits.tracked and rows.target is None and rows.route is None:
+        return replace(rows, refers=np.full_like(rows.refers, ""), instruments=Instruments())
     return rows
 
 
@@ -247,13 +248,13 @@ def known_noise(saved: SavedModel, rows: Dataset, other: bool = False) -> Noise:
     Raises:
         CampaignError: of a channel neither is known.
     """
-    kinds = [block.kind for block in rows.blocks for _ in block.channels] or [saved.kind] * len(rows.channels)
+    kinds = [saved.kind if rows.direct else block.kind for block in rows.blocks for _ in block.channels]
     names = [channel.name for block in rows.blocks for channel in _channels_of(block.kind)]
-    absolute = saved.measurements.noise.rows == "absolute" and rows.relative is not None and not rows.blocks
+    absolute = saved.measurements.noise.rows == "absolute" and rows.relative is not None and rows.direct
     seen = _scatter(saved)
     found = []
     for c, (channel, kind) in enumerate(zip(rows.channels, kinds, strict=True)):
-        name = names[c] if names else channel.name
+        name = names[c]
         stated = (float(rows.sigma[c] or 0.0), np.inf, None) if rows.sigma[c] else None
         pair = stated if (other or absolute) and stated else seen.get((kind, name), stated)
         if pair is None and rows.measures[:, c].any():

@@ -17,7 +17,7 @@ from aridcal.fit.least_squares import Convergence, Fit, fit_identifiable
 from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.things import Known, Rows, instruments_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.setup import Block
@@ -156,21 +156,15 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     """Rows of poses as those of a robot of several limbs are: what a tracker read of targets, each on its own link."""
     assert saved.campaign is not None
     model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
-    block = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
-    of_block = np.zeros(n, dtype=int)
-    refers = with_trackers(np.full((n, ROLES), "", dtype=str), block, of_block, rows.names)
+    blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
+    refers = with_trackers(rows.refers, blocks, rows.block, rows.names)
     known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
-    observed = rows.position if rows.rotation is None else np.hstack([rows.position, rows.rotation.reshape(n, 9)])
     target = rows.station
     ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
     return replace(
         rows,
-        position=np.full((n, 3), np.nan),
-        rotation=None,
         station=None,
-        blocks=block,
-        block=of_block,
-        observed=observed,
+        blocks=blocks,
         refers=refers,
         instruments=instruments_of(known, [Rows(kind, refers)], rows.names, False)[0],
         target=target,

@@ -95,7 +95,7 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
     theta = np.concatenate([theta, np.zeros(missing)])
     covariance[gone], covariance[:, gone] = 0.0, 0.0
     covariance[seen, seen] = WIDE**2
-    if not rows.blocks:
+    if rows.direct:
         asked = problem(model, rows)
         for where, label in sorted(new, key=str):
             theta = frame_start(asked, theta, where, label)
@@ -149,7 +149,6 @@ def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> 
     """The model with new frames and things where the rows have them."""
     bare = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
     seen = measured(bare, rows)
-    assert seen is not None
     anywhere = ("world_base", None) in new
     arm = replace(model, tip_target=ONE_FRAME, world_base=ONE_FRAME if anywhere else model.world_base)
     arm, own = _without_target(arm, theta, anywhere)
