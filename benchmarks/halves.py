@@ -35,7 +35,7 @@ from aridcal.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.approach import with_directions
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_places
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.search.diagnose import look

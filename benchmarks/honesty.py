@@ -68,7 +68,7 @@ from aridcal.errors import AridcalError
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import problem
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_places
 from aridcal.model.reaching import draw_readings
 from aridcal.prepare.true_effects import TrueEffect, make_causes
 from aridcal.result.gravity_direction import gravity_direction

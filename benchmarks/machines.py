@@ -18,7 +18,7 @@ from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.dataset import Dataset, dataset, with_places, with_sigma
 from aridcal.instruments.channels import spread
 from aridcal.model.model import Model
 from aridcal.model.reaching import draw_readings

@@ -24,7 +24,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ from aridcal.fit import stages
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_sigma
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.channels import spread
@@ -146,7 +146,7 @@ def compare(path: Path, numerical: bool) -> dict[str, float]:
     """The final least squares alone, from the same start and for the same coefficients: here, and by SciPy."""
     loaded = load(path)
     found = loaded.solve().geometric
-    asked = problem(found.model, replace(loaded.rows, sigma=tuple(found.sigma.tolist())))
+    asked = problem(found.model, with_sigma(loaded.rows, found.sigma.tolist()))
     scale = spread(found.sigma, asked.channels)
 
     def r(theta: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_sigma
 from aridcal.model.model import Model
 from aridcal.model.reaching import draw_readings
 from aridcal.result.pipeline import identify, score
@@ -284,7 +284,8 @@ def tolerance(name: str, runs: int, seed: int) -> None:
         made = machine(case, rng)
         robot = made.model.robot
         rows = measure(case, made, rng, asked.jitter)
-        rows = replace(rows, test=np.arange(len(rows)) % 5 == 0, sigma=rows.sigma if asked.declared else (None, None))
+        rows = replace(rows, test=np.arange(len(rows)) % 5 == 0)
+        rows = rows if asked.declared else with_sigma(rows, (None, None))
         geometry = fit_constants(campaign, robot, rows, ())
         fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
         residual = problem(fit.model, rows).residual(fit.theta)

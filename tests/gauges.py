@@ -246,8 +246,6 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
     return replace(
         data,
         files=(Path("rows.csv"),),
-        channels=tuple(channels),
-        sigma=tuple(sigma),
         configuration=np.arange(n),
         test=test,
         split_given=True,

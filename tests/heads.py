@@ -21,7 +21,6 @@ from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.instruments.camera import predict_pixels
 from aridcal.instruments.camera_sonar import Head
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.model.model import Model
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot
@@ -116,10 +115,8 @@ def shots(
     T = poses(model, theta, q)
     seen = tuple(look(T[k], int(square[k]), head, rng) for k in range(n))
     rows = replace(
-        dataset(ARID.readings, ARID.kinds, q, np.full((n, 3), np.nan)),
+        dataset(ARID.readings, ARID.kinds, q, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)),
         files=(Path("shots.csv"),),
-        channels=(TARGET_POSITION, TARGET_ROTATION),
-        sigma=(None, None),
         split_given=True,
     )
     job = campaign(more, noise)

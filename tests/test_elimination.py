@@ -10,7 +10,7 @@ from robots import ur10
 
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import known
-from aridcal.fit.problem import Problem, agreeing, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import eliminated, linearise, taking_off
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.instruments.catalogue import KINDS
@@ -49,8 +49,6 @@ def mixed(ties: bool, seed: int = 0) -> tuple[Model, Dataset, np.random.Generato
         block=block,
         observed=rng.uniform(2.0, 4.0, (n, 1)),
         refers=refers,
-        channels=(TARGET_POSITION, LENGTH),
-        sigma=(None, None),
         instruments=Instruments(things, tied),
     )
     names = ("elbow_joint", "wrist_1_joint", "wrist_2_joint")
@@ -61,7 +59,7 @@ def mixed(ties: bool, seed: int = 0) -> tuple[Model, Dataset, np.random.Generato
 
 def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
     """Whitened columns of coefficients and of all unknowns of things, and the residual, rows of ties among them."""
-    assert asked.groups is not None and asked.measured is not None
+    assert asked.groups is not None
     pieces = asked.pieces(theta)
     r, J, B = pieces.r, pieces.J, pieces.B
     groups, width = asked.groups.unknown.shape
@@ -70,7 +68,7 @@ def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.nda
     scale = np.sqrt(weight)[:, None] / np.array([SIGMA[0]] * 3 + [SIGMA[1]])
     columns = np.concatenate([J, wide.reshape(*r.shape, -1)], axis=2) * scale[:, :, None]
     A, b = columns.reshape(r.size, -1), (r * scale).ravel()
-    facts = known(asked.groups, asked.measured.instruments, asked.states)
+    facts = known(asked.groups, asked.instruments, asked.states)
     more = np.zeros((len(facts.group), A.shape[1]))
     for k, g in enumerate(facts.group):
         more[k, len(theta) + g * width : len(theta) + (g + 1) * width] = facts.by[k]
@@ -81,7 +79,7 @@ def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.nda
 def test_a_step_is_that_of_all_unknowns_together(ties: bool) -> None:
     model, data, rng = mixed(ties)
     theta = 1e-2 * rng.normal(size=9)
-    asked = agreeing(problem(model, data), theta)
+    asked = problem(model, data).agreeing(theta)
     weight = rng.choice([0.0, 1.0], len(data), p=[0.1, 0.9])
     A, b, K = dense(asked, theta, weight)
     whole = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -99,7 +97,7 @@ def test_a_step_is_that_of_all_unknowns_together(ties: bool) -> None:
 def test_the_information_left_is_the_schur_complement(ties: bool) -> None:
     model, data, rng = mixed(ties)
     theta, weight = 1e-2 * rng.normal(size=9), np.ones(len(data))
-    asked = agreeing(problem(model, data), theta)
+    asked = problem(model, data).agreeing(theta)
     A, b, K = dense(asked, theta, weight)
     H = A.T @ A
     own, other = H[:K, :K], H[K:, K:]
@@ -126,7 +124,7 @@ def test_columns_are_taken_off_after_their_bases() -> None:
     """A motion that grows with a covariate: taken off before the product, it would be another column."""
     model, data, rng = mixed(False)
     theta, weight = np.zeros(9), np.ones(len(data))
-    asked = agreeing(problem(model, data), theta)
+    asked = problem(model, data).agreeing(theta)
     off = taking_off(asked, theta, weight, SIGMA)
     assert off is not None
     J = asked.pieces(theta).J
@@ -147,7 +145,7 @@ def test_columns_are_taken_off_after_their_bases() -> None:
 def test_rows_less_their_things_are_orthogonal_to_them() -> None:
     model, data, _ = mixed(False)
     theta, weight = np.zeros(9), np.ones(len(data))
-    asked = agreeing(problem(model, data), theta)
+    asked = problem(model, data).agreeing(theta)
     A, _, K = dense(asked, theta, weight)
     scale = np.array([SIGMA[0]] * 3 + [SIGMA[1]])
     for block, r, J in eliminated(asked, theta, weight, SIGMA):
@@ -175,7 +173,6 @@ def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
         block=np.zeros(n, int),
         observed=np.zeros((n, 0)),
         refers=refers,
-        channels=(TARGET_POSITION,),
         instruments=Instruments({"point": things}),
     )
     asked = problem(replace(base, instruments=data.instruments), data)
@@ -185,9 +182,10 @@ def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
         (_, _, J) = next(eliminated(question, np.zeros(1), one, np.array([1e-4])))
         return float(np.linalg.norm(J))
 
-    assert seen(replace(asked, agreed=asked.rows.positions)) > 1e-3
-    there = agreeing(asked, np.zeros(1))
-    assert there.agreed is not None
-    moved = replace(there, rows=replace(there.rows, positions=there.agreed))
+    at_readings = replace(asked.measured, agreed=asked.rows.positions)
+    assert seen(replace(asked, measured=at_readings)) > 1e-3
+    there = asked.agreeing(np.zeros(1))
+    assert there.measured.agreed is not None
+    moved = replace(there.measured, rows=replace(there.rows, positions=there.measured.agreed))
     assert np.abs(moved.residual(np.zeros(1))).max() < 1e-9
     assert seen(there) < 1e-8

@@ -42,7 +42,9 @@ def off_by(truth: robots.Truth, twist: np.ndarray) -> robots.Truth:
     rows = truth.measured
     assert rows.rotation is not None
     turn = Rotation.from_rotvec(twist[:, 3:]).as_matrix()
-    return replace(truth, measured=robots.placed(rows, position=rows.position + twist[:, :3], rotation=turn @ rows.rotation))
+    return replace(
+        truth, measured=robots.placed(rows, position=rows.position + twist[:, :3], rotation=turn @ rows.rotation)
+    )
 
 
 def compared(found: Fit, rows: Dataset) -> Halves:

@@ -197,13 +197,12 @@ def test_columns_of_a_fault_are_differences_of_the_residual(name: str, tmp_path:
     outcome, _ = found(tmp_path, case, effects=[stated], diagnosis={"enabled": False})
     fit, rows = outcome.stages[-1].fit, outcome.measurements.select(outcome.measurements.train)
     asked = problem(fit.model, rows)
-    assert asked.measured is not None
     R, p = fit.model.poses(fit.theta, asked.rows)
-    slopes = asked.measured.slopes(R, p, fit.theta, asked.rows, asked.states)
+    slopes = asked.measured.slopes(R, p, fit.theta)
     assert len(slopes.by_moved) == len(asked.measured.moved) > 0
     for moved, column in zip(asked.measured.moved, slopes.by_moved, strict=True):
         step = 1e-5 * np.eye(len(fit.theta))[moved.index]
-        ahead, behind = (asked.measured.residual(R, p, fit.theta + s, asked.rows, asked.states) for s in (step, -step))
+        ahead, behind = (asked.measured.left(R, p, fit.theta + s) for s in (step, -step))
         expected = np.nan_to_num(behind - ahead) / 2e-5
         np.testing.assert_allclose(column, expected, atol=1e-7 * max(1.0, np.abs(expected).max()))
 

@@ -54,7 +54,11 @@ def questions(kind: str) -> tuple[Problem, Problem, np.ndarray]:
     assert model.local is not None
     wide = replace(model)
     wide.__dict__["local"] = None
-    return question, replace(question, model=wide), theta + rng.normal(0, 1e-3, len(theta))
+    return (
+        question,
+        replace(question, measured=replace(question.measured, model=wide)),
+        theta + rng.normal(0, 1e-3, len(theta)),
+    )
 
 
 @pytest.mark.parametrize("kind", ["pose", "position", "relative"])

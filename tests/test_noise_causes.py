@@ -127,7 +127,9 @@ def test_the_rows_factors_make_the_covariance_of_all_causes_together(with_std: b
     off = 1e-4 * std * rng.standard_normal((ROWS, 6))
     assert data.rotation is not None
     turned = Rotation.from_rotvec(off[:, 3:]).as_matrix() @ data.rotation
-    data = weighed(misread(robots.placed(data, position=data.position + off[:, :3], rotation=turned), 1, 3e-4), RowNoise(std))
+    data = weighed(
+        misread(robots.placed(data, position=data.position + off[:, :3], rotation=turned), 1, 3e-4), RowNoise(std)
+    )
     assert data.relative is not None
     std = data.relative
     arm = calibrated(data)

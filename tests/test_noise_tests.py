@@ -236,7 +236,7 @@ def of_markers(n: int) -> Dataset:
     rows = dataset(("a",), ("revolute",), np.linspace(0, 1, n)[:, None], np.full((n, 3), np.nan))
     refers = np.array([("eye", "board", str(k % 9)) for k in range(n)])
     block = Block("pixels", "pixels", (PIXEL,), (None,))
-    return replace(rows, blocks=(block,), block=np.zeros(n, dtype=int), refers=refers, channels=(PIXEL,), sigma=(None,))
+    return replace(rows, blocks=(block,), block=np.zeros(n, dtype=int), refers=refers)
 
 
 def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem, scaled, unscaled
-from aridcal.inputs.dataset import RowNoise, weighed
+from aridcal.inputs.dataset import RowNoise, weighed, with_places
 from aridcal.instruments.camera_sonar import reduced, unpacked
 
 
@@ -18,7 +18,7 @@ from aridcal.instruments.camera_sonar import reduced, unpacked
 def given():
     shot, q = shots(20, START)
     found = reduced(unpacked(shot.rows.observed, 4), START)
-    bare = replace(shot.rows, blocks=(), channels=shot.rows.channels[:2], sigma=(None, None), relative=None)
+    bare = with_places(replace(shot.rows, relative=None), shot.rows.position, shot.rows.rotation)
     ways = {way: RowNoise(covariance=found.covariance, absolute=way == "absolute") for way in ("relative", "absolute")}
     rows = {way: weighed(bare, noise) for way, noise in (ways | {"ignore": RowNoise()}).items()}
     return rows, found.covariance, q
@@ -64,7 +64,7 @@ def test_weighing_by_whole_covariances_is_worth_it_and_its_covariance_is_honest(
     for _ in range(60):
         error = np.einsum("nij,nj->ni", root, rng.standard_normal((20, 6)))
         turn = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(T[:, :3, :3])
-        noisy = robots.placed(rows["ignore"], position=T[:, :3, 3] + error[:, :3], rotation=turn.as_matrix())
+        noisy = with_places(rows["ignore"], T[:, :3, 3] + error[:, :3], turn.as_matrix())
         for name, way in (("whole", RowNoise(covariance=covariance)), ("alike", RowNoise())):
             found = fit(problem(model, weighed(noisy, way)))
             squares[name] += float(np.sum(found.theta[:3] ** 2))

@@ -15,7 +15,7 @@ from aridcal.fit.scatter import Scatter, restricted_likelihood
 from aridcal.fit.stages import fit_geometry
 from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import estimate, one_more
-from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.dataset import Dataset, with_places
 
 RNG = np.random.default_rng(0)
 
@@ -187,7 +187,7 @@ def test_of_many_points_whole_points_are_asked(tmp_path: Path) -> None:
 def test_rows_of_plain_poses_stand_alone() -> None:
     data = gauges.rows(arm := gauges.arm(3), gauges.levels(arm, 10))
     twice = data.select(np.arange(20) % 10)
-    assert np.array_equal(standstills(replace(twice, blocks=())), np.arange(20))
+    assert np.array_equal(standstills(with_places(twice, np.zeros((20, 3)))), np.arange(20))
 
 
 def test_rows_that_stand_alone_are_stacked_as_any_others() -> None:

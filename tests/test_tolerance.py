@@ -197,7 +197,9 @@ def test_what_turns_the_target_moves_a_point_beside_it() -> None:
     rows = measured(truth, robots.readings(truth.model.robot, 200, rng), rng)
     assert rows.rotation is not None
     wobble = Rotation.from_rotvec(1e-3 * rng.normal(size=(200, 3))).as_matrix()
-    rows = robots.declared(robots.placed(rows, rotation=wobble @ rows.rotation, test=np.ones(200, dtype=bool)), NOISE, NOISE)
+    rows = robots.declared(
+        robots.placed(rows, rotation=wobble @ rows.rotation, test=np.ones(200, dtype=bool)), NOISE, NOISE
+    )
     residual = problem(first.model, rows).residual(first.theta)
 
     def left(tool: tuple[float, float, float], turn: bool = False) -> Beyond:

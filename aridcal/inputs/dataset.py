@@ -22,6 +22,7 @@ from aridcal.robot.chain import JointKind, Route
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
+
 @dataclass(frozen=True)
 class Dataset:
     """Usable rows in SI, N of them. Made once; a part of it is made by :meth:`select`.

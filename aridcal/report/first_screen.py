@@ -303,9 +303,7 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
     per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
     causes = causes_in_words(outcome)
     whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
-    in_all = (
-        f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or outcome.measurements.direct else ""
-    )
+    in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or outcome.measurements.direct else ""
     if outcome.noise_source == "declared":
         yield f" Declared noise{whose}: {per_axis}{in_all}."
         yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")

@@ -223,7 +223,7 @@ def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.nda
     again = things_again(asked, theta, weight)
     # What held-out rows alone refer to is found from those, with this model as with the whole one.
     states = {name: np.where(np.isnan(state), state, again.states[name]) for name, state in asked.states.items()}
-    return replace(again, states=states).residual(theta)
+    return again.with_states(states).residual(theta)
 
 
 def _without(asked: Problem, fit: Fit, effect: Effect) -> np.ndarray:
