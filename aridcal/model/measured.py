@@ -276,7 +276,9 @@ class Measured:
         readings, count = self.rows.positions, len(theta)
         at = readings if self.agreed is None else self.agreed
         beyond = np.zeros(len(self.wide.coefficients) - count)
-        R, p, J = self.wide.jacobian(np.concatenate([theta, beyond]), replace(self.rows, positions=at))
+        always = np.ones((len(beyond), len(self)))
+        rows = replace(self.rows, positions=at, phi=np.vstack([self.rows.phi.T, always]).T)
+        R, p, J = self.wide.jacobian(np.concatenate([theta, beyond]), rows)
         slopes = self.slopes(R, p, theta)
         J = slopes.by_twist @ J
         own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
