@@ -304,7 +304,9 @@ class _Asked:
             variances: Of the process.
             freedom: Numbers less what the coefficients spend.
         """
-        told, y, cross = map(np.concatenate, zip(*(self._decomposed(*part, spans) for part in self._parts), strict=True))
+        told, y, cross = map(
+            np.concatenate, zip(*(self._decomposed(*part, spans) for part in self._parts), strict=True)
+        )
         before, found = inverse(self._information), []
         for variance in variances.tolist():
             kept = variance / (1.0 + variance * told)
