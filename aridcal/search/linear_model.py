@@ -103,7 +103,7 @@ class LinearModel:
     def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
         """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
         order = self._layout.order
-        return self.phi.T[np.ix_(bases, order if places is None else order[places])]
+        return self.phi.T[np.array(bases, dtype=int)[:, None], order if places is None else order[places]]
 
     def _apart(self, effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
         """Slots, each once, and bases of an effect; None where unknown things take up a part of their products."""
@@ -177,7 +177,12 @@ class LinearModel:
 
     def moves(self, effect: Effect) -> bool:
         """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
-        return all(bool(np.any(self.slot_columns(c.where, c.component))) for c in effect.coefficients)
+        return all(self._moves[self.slot_index[slot]] for slot in effect.slots)
+
+    @cached_property
+    def _moves(self) -> np.ndarray:
+        """Whether each slot moves any row, shape (S,) bool."""
+        return np.asarray(self.G.any(axis=(0, 1)))
 
     def columns(self, effect: Effect) -> np.ndarray:
         """Columns of an effect, shape (N, m, d)."""

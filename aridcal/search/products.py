@@ -165,6 +165,7 @@ class Products:
         self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
+        self._limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
         self._local: dict[tuple[int, ...], Local | None] = {}
         self._moved: dict[int, bytes] = {}
         self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
@@ -211,6 +212,7 @@ class Products:
         self.assembled = None
         self._place.clear()
         self._moving.clear()
+        self._limbs.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
@@ -221,6 +223,8 @@ class Products:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
+        for limb in [key for key in self._limbs if key[0] == effect]:
+            del self._limbs[limb]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
@@ -322,7 +326,7 @@ class Products:
     def _grids(
         self, effects: Sequence[Effect]
     ) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[tuple[np.ndarray | None, list[Effect]]]]:
-        """Candidates of the same functions that move the same rows, with their slots, and the others by the rows that they move."""
+        """Candidates of the same functions that move the same rows, with their slots; the others by the rows that they move."""
         alike: dict[tuple[tuple[int, ...], bytes], dict[Effect, int]] = {}
         moved = {}
         for effect in effects:
@@ -393,25 +397,33 @@ class Products:
             elif grid is not None and chunk.rows is None:
                 made = grid.across(X).transpose(0, 2, 1)
             else:
-                made = self._with_columns(chunk, X, self.columns(effect))
+                made = self._with_columns(chunk, X, effect)
             found[effect] = made
             if chunk.effects[0] in self._place and self._room(made.size):
                 chunk.across[effect] = made
         return [made for made in found.values() if made is not None]
 
-    def _with_columns(self, chunk: Chunk, X: Flat, Y: Flat) -> np.ndarray:
-        """Products of a chunk's columns, X (of a grid none are made), with others of all rows, shape (C, w, d)."""
-        if chunk.rows is not None:
-            Y = tuple(y[rows] for y, rows in zip(Y, self.layout.numbers(chunk.rows), strict=True))
-        # Constants of other limbs move none of a limb's rows.
-        some = np.flatnonzero(np.any([y.any(axis=0) for y in Y], axis=0))
+    def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
+        """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
+        Y = self.columns(member)
+        if chunk.rows is None:
+            return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
+        own, some = self._in_rows(member, chunk.rows)
         made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
-        Y = tuple(y[:, some] for y in Y)
         if chunk.grid is not None:
-            made[:, :, some] = replace(chunk.grid, rows=None).across(Y)
+            made[:, :, some] = replace(chunk.grid, rows=None).across(own)
         else:
-            made[:, :, some] = [x.T @ y for x, y in zip(X, Y, strict=True)]
+            made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
         return made
+
+    def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
+        """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
+        key = member, rows.tobytes()
+        if key not in self._limbs:
+            here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
+            some = np.flatnonzero(np.any([y.any(axis=0) for y in here], axis=0))
+            self._limbs[key] = tuple(y[:, some] for y in here), some
+        return self._limbs[key]
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

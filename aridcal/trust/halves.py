@@ -31,7 +31,7 @@ from aridcal.effects.loads import covariate_table
 from aridcal.fit.elimination import Eliminated
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import across, pseudo_inverse, told
+from aridcal.fit.normal_equations import across, pseudo_inverse, root_of_inverse
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.model.measured import rows_of_data
@@ -207,7 +207,7 @@ class _Compared:
         squares: See :class:`Halves`.
         freedom: Likewise.
         usual: Mean square of the difference at the target that noise makes, [m^2].
-        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,).
+        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,); NaN where a division before differs as much.
     """
 
     division: Division
@@ -246,21 +246,24 @@ def _compared(
     squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
     left = round(float(numbers)) - spent
+    least = np.full(flat.shape[1], np.inf)
     for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
-        values, vectors, scale = told(M, RANK)
-        d = len(values)
+        root = root_of_inverse(M, RANK)
+        d = len(root)
         if d == 0 or left - d < d:
             continue
-        root = (vectors / np.sqrt(values)).T * scale
         w = root @ side.pull
         T2 = np.sum(w**2, axis=0)
         noise = (squares - T2) / (left - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
-        difference = root.T @ w
-        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
-        moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
-        yield _Compared(way, fdtrc(d, left - d, F), float(F[0]), (d, left - d), usual, moved)
+        p_values = fdtrc(d, left - d, F)
+        worst = p_values < least  # of no others is it asked what they move
+        least = np.minimum(least, p_values)
+        difference, moved = root.T @ w[:, worst], np.full(len(F), np.nan)
+        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny) if worst.any() else np.nan
+        moved[worst] = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
+        yield _Compared(way, p_values, float(F[0]), (d, left - d), usual, moved)
 
 
 @dataclass(frozen=True)
@@ -342,7 +345,7 @@ class _Limb:
         self._J, self._left = J[rows][:, :, self.columns], left[rows]
 
     def sums(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sums over some of the N rows, shape (N,) bool, as :class:`_Side` has cross and pull, of the columns that are not zero."""
+        """Cross and pull of :class:`_Side` over some of the N rows, shape (N,) bool, of the columns that are not zero."""
         here = some[self._rows]
         J, left = (x[here].reshape(-1, x.shape[2]) for x in (self._J, self._left))
         A = J[:, self._own]

@@ -278,7 +278,7 @@ class _Asked:
             Z: What the zeros of the joints do to the rows, shape (N, m, joints).
         """
         self._rows, self._things, self._Z = rows, rows.solved(), Z
-        self._parts = _parts(Z.any(axis=1), rows.group)
+        self._parts = _parts(np.any(Z, axis=1), rows.group)
         told = np.array([rows.J[part].any(axis=(0, 1)) for part, _ in self._parts])
         shared = np.sum(told | told @ (believed != 0.0), axis=0) > 1
         H, g = rows.equations(self._things)
