@@ -16,7 +16,7 @@ from aridcal.effects.kinds import turns
 from aridcal.fit.normal_equations import conditional
 from aridcal.search import products, state
 from aridcal.search.evidence import Score, solve
-from aridcal.search.grids import Grid, grid_of, local
+from aridcal.search.grids import Grid, grid_of, local, moving
 from aridcal.search.linear_model import Active
 from aridcal.search.scoring import refine, signed_ranks
 from aridcal.search.screening import score_all, score_without
@@ -210,7 +210,7 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
     def made(there: np.ndarray, count: int):
         slots = tuple(rng.normal(size=(n, size, count)) * there[:, None, None] for size in sizes)
         full = [np.einsum("nse,nd->nsed", g, values).reshape(n * g.shape[1], -1) for g in slots]
-        return grid_of(slots, functions), full
+        return grid_of(*moving(slots), functions), full
 
     first, one = made(np.arange(n) % 3 == 0, 4)
     second, two = made(np.arange(n) % 2 == 0, 1)

@@ -228,6 +228,7 @@ def _diagnosed(
     if scattered:
         state = without_scatter(place.linear, state)
         found = replace(found, state=state)
+    place.linear.products.forget()  # of the library no more is asked here
     if _shapes(state) != fitted:
         progress(_fitting(state))
         current = refit(start, state, current)

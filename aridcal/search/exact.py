@@ -225,7 +225,7 @@ def linear_model(
         gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
-        phi=evaluated(bases, {**observed.table, **of_places}) if bases else np.zeros((len(r), 0)),
+        phi=np.asfortranarray(evaluated(bases, {**observed.table, **of_places}) if bases else np.zeros((len(r), 0))),
         bases=bases,
         r=r,
         limit=start.limit,

@@ -47,6 +47,10 @@ class Local:
         numbers = (self.numbers[:, :, None] * other.count + other.numbers[:, None, :]).reshape(shape)
         return Local(values, numbers, self.count * other.count)
 
+    def at(self, rows: np.ndarray) -> Local:
+        """Those of some rows."""
+        return Local(self.values[rows], self.numbers[rows], self.count)
+
     def part(self, low: int, high: int) -> Local:
         """Those of some rows on end; they are kept."""
         if (low, high) not in self._parts:
@@ -148,16 +152,20 @@ def moved_rows(slots: tuple[np.ndarray, ...]) -> np.ndarray | None:
     return None if np.mean(moved) > FULL else np.flatnonzero(moved)
 
 
-def grid_of(slots: tuple[np.ndarray, ...], functions: Local) -> Grid:
-    """A grid of slots in all N rows: rows of paths on which none of the slots is count for nothing, and are left out."""
+def moving(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
+    """Slots in the rows that they move, and which those are: rows of paths on which none of the slots is count for nothing."""
     rows = moved_rows(slots)
-    return Grid(slots, functions) if rows is None else _taken(Grid(slots, functions), rows, rows)
+    return (slots if rows is None else tuple(g[rows] for g in slots)), rows
+
+
+def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: Local) -> Grid:
+    """A grid of what :func:`moving` gives and of functions in all N rows."""
+    return Grid(slots, functions if rows is None else functions.at(rows), rows)
 
 
 def _taken(whole: Grid, some: np.ndarray, rows: np.ndarray) -> Grid:
     """Some of the rows of a grid, by their places in it, and which of all rows those are."""
-    values, numbers = whole.functions.values[some], whole.functions.numbers[some]
-    return Grid(tuple(g[some] for g in whole.slots), Local(values, numbers, whole.functions.count), rows)
+    return Grid(tuple(g[some] for g in whole.slots), whole.functions.at(some), rows)
 
 
 def _common(one: Grid, other: Grid) -> tuple[Grid, Grid]:

@@ -244,10 +244,10 @@ def pairs(
     every = [of for of in combinations(covariates, 2) if robot.on_one_limb(*of)]
     for a, b in progress.over(every, "pairs"):
         products = (waves[a][:, :, None] * waves[b][:, None]).reshape(len(pull), -1)
-        along = np.linalg.qr(products)[0].T @ pull
-        explained = np.sum(along**2, axis=0)
         near = [(s, slot) for s, slot in frames if robot.on_one_limb(slot[0], a, b)]
-        found += [(float(explained[s]), (where, component, (a, b))) for s, (where, component) in near]
+        along = np.linalg.qr(products)[0].T @ pull[:, [s for s, _ in near]]
+        explained = np.sum(along**2, axis=0).tolist()
+        found += [(e, (where, component, (a, b))) for e, (_, (where, component)) in zip(explained, near, strict=True)]
     found.sort(key=lambda pair: -pair[0])
     return [place for _, place in found[:LOUDEST]], len(found)
 

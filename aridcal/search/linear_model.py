@@ -33,7 +33,7 @@ class LinearModel:
         gauge: Prior precision of the constants about the geometric stage, shape (K, K).
         G: Columns of the slots, the motions that effects may have, shape (N, m, S).
         slots: (where, component) of each.
-        phi: Values of the bases, shape (N, B).
+        phi: Values of the bases, shape (N, B), each in one piece in memory.
         bases: The bases.
         r: Residual of the geometric stage, linearised, shape (N, m).
         limit: Sigmas beyond which each row is flagged, shape (N,).
@@ -91,35 +91,38 @@ class LinearModel:
         return Layout.of(self.fold, self.channels)
 
     @cached_property
-    def _in_folds(self) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-        """Columns of the slots, (S, N, size) for each channel, and bases, (B, N), in the order of the folds."""
+    def _in_folds(self) -> tuple[np.ndarray, ...]:
+        """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
         ordered = self.G[self._layout.order].transpose(2, 0, 1)
-        parts = tuple(np.ascontiguousarray(ordered[:, :, own]) for own in self._layout.parts)
-        return parts, np.ascontiguousarray(self.phi[self._layout.order].T)
+        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in self._layout.parts)
 
     @property
     def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._in_folds[1][list(bases)].T)
+        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._values(bases).T)
 
-    def _apart(self, effect: Effect) -> tuple[int, tuple[int, ...]] | None:
-        """Slot and bases of an effect that has one slot; None also where unknown things take up a part of the products."""
+    def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
+        """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
+        order = self._layout.order
+        return self.phi.T[np.array(bases, dtype=int)[:, None], order if places is None else order[places]]
+
+    def _apart(self, effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
+        """Slots, each once, and bases of an effect; None where unknown things take up a part of their products."""
         slots, bases = self._index(effect)
-        return None if bases is None or self.off is not None or len(set(slots)) > 1 else (slots[0], tuple(bases))
+        return None if bases is None or self.off is not None else (tuple(dict.fromkeys(slots)), tuple(bases))
 
     def _slots_of(self, slots: Sequence[int]) -> Flat:
-        return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds[0])
+        return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds)
 
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
         """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
         if self.off is not None or not all(self.prepared(e) for e in effects):
             X = self._layout.flat(self.side_by_side(effects))
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
-        slots, bases = (np.array([k for e in effects for k in self._index(e)[part] or ()]) for part in (0, 1))
-        G, phi = self._in_folds
+        slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
         some = slice(None) if places is None else places
-        values = phi[bases][:, some]
+        values = self._values(bases, places)
         made = []
-        for g in G:
+        for g in self._in_folds:
             x = g[slots][:, some]
             for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
                 x[:, :, k] *= values
@@ -166,15 +169,20 @@ class LinearModel:
         """The same with the bases of further effects evaluated beforehand."""
         asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
         new = [basis for basis in asked if basis not in self.basis_index]
-        phi = [self.phi, *(evaluate(basis, self.table)[:, None] for basis in new)]
-        made = replace(self, bases=(*self.bases, *new), phi=np.hstack(phi))
+        phi = np.vstack([self.phi.T, *(evaluate(basis, self.table) for basis in new)]).T
+        made = replace(self, bases=(*self.bases, *new), phi=phi)
         # Of the same columns: none is multiplied again.
-        vars(made)["products"] = self.products.made_by(made._source)
+        vars(made).update(_in_folds=self._in_folds, products=self.products.made_by(made._source))
         return made
 
     def moves(self, effect: Effect) -> bool:
         """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
-        return all(bool(np.any(self.slot_columns(c.where, c.component))) for c in effect.coefficients)
+        return all(self._moves[self.slot_index[slot]] for slot in effect.slots)
+
+    @cached_property
+    def _moves(self) -> np.ndarray:
+        """Whether each slot moves any row, shape (S,) bool."""
+        return np.asarray(self.G.any(axis=(0, 1)))
 
     def columns(self, effect: Effect) -> np.ndarray:
         """Columns of an effect, shape (N, m, d)."""

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 
 from aridcal.effects.effect import Effect
 from aridcal.instruments.channels import Channels, columns
-from aridcal.search.grids import Grid, Local, grid_of, local, moved_rows
+from aridcal.search.grids import Grid, Local, grid_of, local, moved_rows, moving
 
 CHUNK = 128
 """Columns that are multiplied at once: their Gram matrix stays in the cache."""
@@ -56,14 +56,13 @@ class Source:
 
     Attributes:
         make: Columns of effects side by side, of all rows or of those at some places.
-        apart: The slot and the functions of which an effect's columns are the products; None where they are not of one slot,
-            or not products.
+        apart: The slots and the functions of which an effect's columns are the products; None where they are not products.
         slots: Columns of some slots, (N, size, slots) for each channel.
         functions: Values of some functions, shape (N, functions).
     """
 
     make: Callable[[Sequence[Effect], np.ndarray | None], Flat]
-    apart: Callable[[Effect], tuple[int, tuple[int, ...]] | None]
+    apart: Callable[[Effect], tuple[tuple[int, ...], tuple[int, ...]] | None]
     slots: Callable[[Sequence[int]], Flat]
     functions: Callable[[Sequence[int]], np.ndarray]
 
@@ -129,6 +128,7 @@ class Chunk:
         pull: X'r, shape (C, w).
         across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
         columns: X itself, where there is room for it.
+        rows: Places in the order of the folds outside of which X is zero: those of a limb; None for all.
         grid: What makes them, if they are one.
     """
 
@@ -137,6 +137,7 @@ class Chunk:
     pull: np.ndarray
     across: dict[Effect | None, np.ndarray]
     columns: Flat | None
+    rows: np.ndarray | None = None
     grid: Grid | None = None
 
     def of_one(self, where: slice) -> np.ndarray:
@@ -164,8 +165,10 @@ class Products:
         self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
+        self._limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
         self._local: dict[tuple[int, ...], Local | None] = {}
         self._moved: dict[int, bytes] = {}
+        self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
         self._known: dict[Effect, None] = {}
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
@@ -182,6 +185,7 @@ class Products:
         self._source = source
         self._local.clear()  # known by numbers, which may mean other functions there
         self._moved.clear()
+        self._moving.clear()
         return self
 
     def flat(self, effects: Sequence[Effect]) -> Flat:
@@ -207,6 +211,8 @@ class Products:
         self._solved.clear()
         self.assembled = None
         self._place.clear()
+        self._moving.clear()
+        self._limbs.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
@@ -217,6 +223,8 @@ class Products:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
+        for limb in [key for key in self._limbs if key[0] == effect]:
+            del self._limbs[limb]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
@@ -285,8 +293,8 @@ class Products:
     def _as_grid(self, member: Effect | None) -> Grid | None:
         """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
         taken = None if member is None else self._source.apart(member)
-        functions = None if taken is None else self._functions(taken[1])
-        return None if taken is None or functions is None else grid_of(self._source.slots(taken[:1]), functions)
+        functions = None if taken is None or len(taken[0]) > 1 else self._functions(taken[1])
+        return None if taken is None or functions is None else grid_of(*self._slots(taken[0]), functions)
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
@@ -294,7 +302,8 @@ class Products:
         new = [e for e, place in zip(effects, places, strict=True) if place is None]
         yield from {id(place[0]): place[0] for place in places if place is not None}.values()
         grids, others = self._grids(new)
-        for chunk in (*(self._grid(*grid) for grid in grids), *(self.chunk(group) for group in grouped(others))):
+        of_grids = (self._grid(*grid) for grid in grids)
+        for chunk in chain(of_grids, (self.chunk(group, rows) for rows, own in others for group in grouped(own))):
             if self._room(chunk.own.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
                 kept = chunk if room else replace(chunk, columns=None)
@@ -308,30 +317,46 @@ class Products:
             self._local[bases] = local(self._source.functions(bases))
         return self._local[bases]
 
-    def _grids(self, effects: Sequence[Effect]) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[Effect]]:
-        """Candidates of the same functions that move the same rows, with their slots, and the other candidates."""
-        alike: dict[tuple[tuple[int, ...], bytes], dict[Effect, int]] = {}
-        for effect in effects:
-            taken = self._source.apart(effect) if effect.smooth else None
-            if taken is not None:
-                alike.setdefault((taken[1], self._rows_moved(taken[0])), {})[effect] = taken[0]
-        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
-        of_grids = {effect for _, own in grids for effect in own}
-        return grids, [effect for effect in effects if effect not in of_grids]
+    def _slots(self, slots: tuple[int, ...]) -> tuple[Flat, np.ndarray | None]:
+        """Columns of some slots in the rows that they move, (n, size, slots) for each channel, and those rows; they are kept."""
+        if slots not in self._moving:
+            self._moving[slots] = moving(self._source.slots(slots))
+        return self._moving[slots]
 
-    def _rows_moved(self, slot: int) -> bytes:
-        """Which rows a slot moves; the same for all that move nearly all of them."""
-        if slot not in self._moved:
-            rows = moved_rows(self._source.slots([slot]))
-            self._moved[slot] = b"" if rows is None else rows.tobytes()
-        return self._moved[slot]
+    def _grids(
+        self, effects: Sequence[Effect]
+    ) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[tuple[np.ndarray | None, list[Effect]]]]:
+        """Candidates of the same functions that move the same rows, with their slots; the others by the rows that they move."""
+        alike: dict[tuple[tuple[int, ...], bytes], dict[Effect, int]] = {}
+        moved = {}
+        for effect in effects:
+            slots, bases = self._source.apart(effect) or ((), ())
+            moved[effect] = self._rows_moved(slots)
+            if effect.smooth and len(slots) == 1:
+                alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
+        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+        others: dict[bytes, list[Effect]] = {}
+        of_grids = {effect for _, own in grids for effect in own}
+        for effect in effects:
+            if effect not in of_grids:
+                others.setdefault(moved[effect], []).append(effect)
+        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, own) for key, own in others.items()]
+
+    def _rows_moved(self, slots: Sequence[int]) -> bytes:
+        """Places of the rows that slots move; none if those are nearly all, or not the same for each of them."""
+        for slot in slots:
+            if slot not in self._moved:
+                rows = moved_rows(self._source.slots([slot]))
+                self._moved[slot] = b"" if rows is None else rows.tobytes()
+        keys = {self._moved[slot] for slot in slots}
+        return keys.pop() if len(keys) == 1 else b""
 
     def _grid(self, bases: tuple[int, ...], effects: dict[Effect, int]) -> Chunk:
         """Candidates of the same functions multiplied together."""
         functions = self._functions(bases)
         assert functions is not None
-        made = grid_of(self._source.slots(list(effects.values())), functions)
-        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made)
+        made = grid_of(*self._slots(tuple(effects.values())), functions)
+        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made.rows, made)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
         """Whether so many numbers more are kept; they are counted."""
@@ -339,15 +364,16 @@ class Products:
         self._kept += numbers if room else 0
         return room
 
-    def chunk(self, effects: Sequence[Effect]) -> Chunk:
-        """Candidates multiplied together; they are not kept."""
-        X = self.flat(effects)
+    def chunk(self, effects: Sequence[Effect], rows: np.ndarray | None = None) -> Chunk:
+        """Candidates multiplied together, zero but in some rows if these are given; they are not kept."""
+        X = self._source.make(effects, rows)
         own = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
         for low, high in pieces(effects):
             for values, x in zip(own, X, strict=True):
                 values[low:high, low:high] = x[:, low:high].T @ x[:, low:high]
-        pull = np.array([x.T @ r for x, r in zip(X, self.r, strict=True)])
-        return Chunk(tuple(effects), own, pull, {}, X)
+        right = self.r if rows is None else [r[n] for r, n in zip(self.r, self.layout.numbers(rows), strict=True)]
+        pull = np.array([x.T @ r for x, r in zip(X, right, strict=True)])
+        return Chunk(tuple(effects), own, pull, {}, X, rows)
 
     def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
         """Where a candidate is: among those that were scored with the library, or by itself."""
@@ -355,7 +381,7 @@ class Products:
 
     def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
         """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
-        if chunk.columns is None:
+        if chunk.columns is None or chunk.rows is not None:
             return list(self._source.make(chunk.effects, places))
         return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
@@ -363,19 +389,41 @@ class Products:
         """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
         found = {effect: chunk.across.get(effect) for effect, _ in members}
         new = [effect for effect, made in found.items() if made is None]
-        X = (chunk.columns or self.flat(chunk.effects)) if new and chunk.grid is None else ()
+        X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
         for effect in new:
             grid = self._as_grid(effect)
-            if chunk.grid is not None:
-                made = chunk.grid.across(self.columns(effect)) if grid is None else chunk.grid.across_grid(grid)
-            elif grid is not None:
+            if chunk.grid is not None and grid is not None:
+                made = chunk.grid.across_grid(grid)
+            elif grid is not None and chunk.rows is None:
                 made = grid.across(X).transpose(0, 2, 1)
             else:
-                made = np.array([x.T @ y for x, y in zip(X, self.columns(effect), strict=True)])
+                made = self._with_columns(chunk, X, effect)
             found[effect] = made
             if chunk.effects[0] in self._place and self._room(made.size):
                 chunk.across[effect] = made
         return [made for made in found.values() if made is not None]
+
+    def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
+        """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
+        Y = self.columns(member)
+        if chunk.rows is None:
+            return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
+        own, some = self._in_rows(member, chunk.rows)
+        made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
+        if chunk.grid is not None:
+            made[:, :, some] = replace(chunk.grid, rows=None).across(own)
+        else:
+            made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
+        return made
+
+    def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
+        """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
+        key = member, rows.tobytes()
+        if key not in self._limbs:
+            here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
+            some = np.flatnonzero(np.any([y.any(axis=0) for y in here], axis=0))
+            self._limbs[key] = tuple(y[:, some] for y in here), some
+        return self._limbs[key]
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

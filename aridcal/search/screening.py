@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -89,7 +90,7 @@ def _projected(
     others: list[Effect] = []
     for e in effects:
         (prepared if model.prepared(e) else others).append(e)
-    for chunk in (*made.chunks(prepared), *(made.chunk(group) for group in grouped(others))):
+    for chunk in chain(made.chunks(prepared), (made.chunk(group) for group in grouped(others))):
         progress.part(done, len(effects), "candidates")
         AC, CC, Cr = state.in_use(chunk)
         CA, CC = np.tensordot(weight, AC, 1).T, np.tensordot(weight, CC, 1)

@@ -31,7 +31,7 @@ from aridcal.effects.loads import covariate_table
 from aridcal.fit.elimination import Eliminated
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import across, pseudo_inverse, told
+from aridcal.fit.normal_equations import across, pseudo_inverse, root_of_inverse
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.model.measured import rows_of_data
@@ -207,7 +207,7 @@ class _Compared:
         squares: See :class:`Halves`.
         freedom: Likewise.
         usual: Mean square of the difference at the target that noise makes, [m^2].
-        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,).
+        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,); NaN where a division before differs as much.
     """
 
     division: Division
@@ -246,21 +246,24 @@ def _compared(
     squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
     left = round(float(numbers)) - spent
-    for way, side in zip(ways, _sides(rows, ways, own, things, flat), strict=True):
+    least = np.full(flat.shape[1], np.inf)
+    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
-        values, vectors, scale = told(M, RANK)
-        d = len(values)
+        root = root_of_inverse(M, RANK)
+        d = len(root)
         if d == 0 or left - d < d:
             continue
-        root = (vectors / np.sqrt(values)).T * scale
         w = root @ side.pull
         T2 = np.sum(w**2, axis=0)
         noise = (squares - T2) / (left - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
-        difference = root.T @ w
-        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny)
-        moved = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
-        yield _Compared(way, fdtrc(d, left - d, F), float(F[0]), (d, left - d), usual, moved)
+        p_values = fdtrc(d, left - d, F)
+        worst = p_values < least  # of no others is it asked what they move
+        least = np.minimum(least, p_values)
+        difference, moved = root.T @ w[:, worst], np.full(len(F), np.nan)
+        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny) if worst.any() else np.nan
+        moved[worst] = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
+        yield _Compared(way, p_values, float(F[0]), (d, left - d), usual, moved)
 
 
 @dataclass(frozen=True)
@@ -279,7 +282,12 @@ class _Side:
 
 
 def _sides(
-    rows: Columns, ways: list[Division], own: np.ndarray, things: Eliminated, flat: np.ndarray
+    rows: Columns,
+    ways: list[Division],
+    own: np.ndarray,
+    things: Eliminated,
+    flat: np.ndarray,
+    route: np.ndarray | None,
 ) -> Iterator[_Side]:
     """The sums of every division; those of one column are made of the same few parts of the rows.
 
@@ -289,6 +297,7 @@ def _sides(
         own: Coefficients that each half has of its own, shape (K,) bool.
         things: Of all rows: they hang together, so that sums over parts are none over the whole.
         flat: What is left of the residuals and of the draws, shape (N m, 1 + DRAWS).
+        route: Number of the path that each row takes, shape (N,); None where all take one.
     """
     N, m, K = rows.J.shape
     if rows.groups is not None:
@@ -299,33 +308,50 @@ def _sides(
             A = A.reshape(N * m, -1)
             yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
         return
-    # Row behind row: from columns behind one another parts are taken number by number.
-    J, left = np.ascontiguousarray(rows.J), flat.reshape(N, m, -1)
+    taken = np.zeros(N) if route is None else route
+    limbs = [_Limb(np.flatnonzero(taken == path), rows.J, own, flat.reshape(N, m, -1)) for path in np.unique(taken)]
     made: dict[str, dict[bytes, _Side]] = {}
     for way in ways:
         if way.of not in made:
             same = np.array([other.side for other in ways if other.of == way.of])
             parts, number = np.unique(same, axis=1, return_inverse=True)
-            counted = np.flatnonzero(parts.any(axis=0))
-            each = [_part(J[number == c], own, left[number == c]) for c in counted]
-            totals = [_total(each, part) for part in parts[:, counted]]
-            made[way.of] = dict(zip((side.tobytes() for side in same), totals, strict=True))
+            crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
+            for limb in limbs:
+                each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}
+                for cross, pull, some in zip(crosses, pulls, parts, strict=True):
+                    for c in np.flatnonzero(some).tolist():
+                        cross[np.ix_(limb.columns, limb.own)] += each[c][0]
+                        pull[limb.own] += each[c][1]
+            sides = [_Side(cross[own], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
+            made[way.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
         yield made[way.of].pop(way.side.tobytes())
 
 
-def _part(J: np.ndarray, own: np.ndarray, left: np.ndarray) -> _Side:
-    """Sums over n rows: their columns (n, m, K), and what is left of them (n, m, 1 + DRAWS)."""
-    J = J.reshape(-1, J.shape[2])
-    A = J[:, own]
-    # Products of columns with themselves are symmetric, and half the work.
-    cross = (J.T @ J)[:, own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
-    return _Side(cross[own], cross, A.T @ left.reshape(len(J), -1))
+class _Limb:
+    """Rows of one path: coefficients of other limbs do not move them."""
 
+    def __init__(self, rows: np.ndarray, J: np.ndarray, own: np.ndarray, left: np.ndarray) -> None:
+        """Take them and what moves them.
 
-def _total(parts: list[_Side], some: np.ndarray) -> _Side:
-    """Those of some of the parts, shape (parts,) bool, together."""
-    chosen = [part for part, there in zip(parts, some, strict=True) if there]
-    return _Side(*(np.sum([getattr(part, of) for part in chosen], axis=0) for of in ("squares", "cross", "pull")))
+        Args:
+            rows: Which of N rows they are.
+            J: Columns of all, shape (N, m, K).
+            own: Coefficients that each half has of its own, shape (K,) bool.
+            left: What is left of the residuals and of each draw, shape (N, m, 1 + DRAWS).
+        """
+        self.columns = np.flatnonzero(J[rows].any(axis=(0, 1)))
+        self._rows, self._own = rows, own[self.columns]
+        self.own = (np.cumsum(own) - 1)[self.columns[self._own]]
+        self._J, self._left = J[rows][:, :, self.columns], left[rows]
+
+    def sums(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cross and pull of :class:`_Side` over some of the N rows, shape (N,) bool, of the columns that are not zero."""
+        here = some[self._rows]
+        J, left = (x[here].reshape(-1, x.shape[2]) for x in (self._J, self._left))
+        A = J[:, self._own]
+        # Products of columns with themselves are symmetric, and half the work.
+        cross = (J.T @ J)[:, self._own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
+        return cross, A.T @ left
 
 
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,10 @@ hardly tell: all that they do not exclude is kept, with its probability. With :m
 .. math:: -2 \log L = \sum_i \log(1 + \tau^2 \lambda_i)
           + f \log\Big(r^T P r - \sum_i \frac{\tau^2 y_i^2}{1 + \tau^2 \lambda_i}\Big)
 
-with f the degrees of freedom that are left.
+with f the degrees of freedom that are left. The limbs of a tree have no row in common, so that each is decomposed alone; the few
+coefficients s that tell of several are not in P then, but solved for with each :math:`\tau`:
+:math:`\log|H_\tau| - \log|H_0|` is added to the first sum and :math:`-g_\tau^T H_\tau^{-1} g_\tau` to the squares, where H and g
+are their information and pull.
 """
 
 from __future__ import annotations
@@ -26,11 +29,13 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from aridcal.effects.basis import ALWAYS
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.normal_equations import inverse
+from aridcal.fit.normal_equations import inverse, solve
 from aridcal.fit.tails import Tails, weights
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
@@ -226,13 +231,13 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
         return []
     count = len(fit.theta)
     rows = replace(rows, J=rows.J[:, :, :count])
-    asked = _Asked(rows, fit.believed)
+    asked = _Asked(rows, fit.believed, Z)
     readings = data.select(rows.rows).readings
     ends = readings.min(axis=0), readings.max(axis=0)
     q = readings / units(*ends, slides, joints)
     variances = np.array([0.0, *SHARES]) / mean
     logs = np.array(
-        [asked.likelihoods(_features(over, length, q, Z, joints), variances, freedom) for over, length in PROCESSES]
+        [asked.likelihoods(_spans(over, length, q, joints), variances, freedom) for over, length in PROCESSES]
     )
     # None is one of them, whatever it would have gone with.
     chance = np.exp(logs - logs.max())
@@ -264,63 +269,100 @@ def _weighed(rows: Columns, tails: Sequence[Tails | None]) -> Columns:
 class _Asked:
     """Rows with the space taken off that their coefficients and things take up."""
 
-    def __init__(self, rows: Columns, believed: np.ndarray) -> None:
+    def __init__(self, rows: Columns, believed: np.ndarray, Z: np.ndarray) -> None:
         """Take it off.
 
         Args:
             rows: N rows of m numbers.
             believed: Precision of the coefficients beforehand, shape (K, K).
+            Z: What the zeros of the joints do to the rows, shape (N, m, joints).
         """
-        self._rows, self._things = rows, rows.solved()
+        self._rows, self._things, self._Z = rows, rows.solved(), Z
+        self._parts = _parts(np.any(Z, axis=1), rows.group)
+        told = np.array([rows.J[part].any(axis=(0, 1)) for part, _ in self._parts])
+        shared = np.sum(told | told @ (believed != 0.0), axis=0) > 1
         H, g = rows.equations(self._things)
-        self._covariance = inverse(H + believed)
+        H += believed
+        self._own = np.zeros_like(H)  # covariance of the coefficients of one part each, those of several held
+        self._own[np.ix_(~shared, ~shared)] = inverse(H[np.ix_(~shared, ~shared)])
+        self._left_of_shared = np.eye(len(g))[shared] - H[shared] @ self._own
+        self._information, self._pull = self._left_of_shared @ H[:, shared], self._left_of_shared @ g
         self._J = self._less(rows.J)
-        r = self._less(rows.r[:, :, None])[:, 0]
-        self._left = r - self._J @ (self._covariance @ g)
-        self._squares = float(rows.r.ravel() @ self._left)
+        self._left = self._less(rows.r[:, :, None])[:, :, 0] - self._J @ (self._own @ g)
+        self._squares = float(np.sum(rows.r * self._left))
 
-    def _less(self, values: np.ndarray) -> np.ndarray:
-        """Numbers (N, m, d) less what the things take up of them, shape (N m, d)."""
+    def _less(self, values: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Numbers of some rows, (n, m, d), less what the things take up of them."""
         nothing = np.zeros((len(self._rows.known.left), values.shape[2]))
-        return self._rows.less(values, nothing, self._things)[0].reshape(-1, values.shape[2])
+        return self._rows.less(values, nothing, self._things, some)[0]
 
-    def likelihoods(self, features: np.ndarray, variances: np.ndarray, freedom: float) -> np.ndarray:
+    def likelihoods(self, spans: Sequence[np.ndarray], variances: np.ndarray, freedom: float) -> np.ndarray:
         """Logarithms of the restricted likelihood, but for one constant, for each variance.
 
         Args:
-            features: Shape (N, m, d).
-            variances: Of their coefficients.
+            spans: See :func:`_spans`.
+            variances: Of the process.
             freedom: Numbers less what the coefficients spend.
         """
-        F = features.reshape(-1, features.shape[2])
-        cross = self._J.T @ F
-        A = F.T @ self._less(features) - cross.T @ self._covariance @ cross
-        told, V = np.linalg.eigh(0.5 * (A + A.T))
-        told, y = np.maximum(told, 0.0), V.T @ (F.T @ self._left)
-        found = []
+        told, y, cross = map(
+            np.concatenate, zip(*(self._decomposed(*part, spans) for part in self._parts), strict=True)
+        )
+        before, found = inverse(self._information), []
         for variance in variances.tolist():
-            squares = self._squares - float(np.sum(variance * y**2 / (1.0 + variance * told)))
-            found.append(-0.5 * float(np.sum(np.log1p(variance * told))) - 0.5 * freedom * np.log(squares))
+            kept = variance / (1.0 + variance * told)
+            lost, pull = (cross.T * kept) @ cross, self._pull - cross.T @ (kept * y)
+            squares = self._squares - float(np.sum(kept * y**2) + pull @ solve(self._information - lost, pull))
+            size = float(np.sum(np.log1p(variance * told)) + np.linalg.slogdet(np.eye(len(lost)) - before @ lost)[1])
+            found.append(-0.5 * size - 0.5 * freedom * np.log(squares))
         return np.array(found)
 
+    def _decomposed(
+        self, rows: np.ndarray, joints: np.ndarray, spans: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A part: the d eigenvalues of what a process does to it, its pull and what it has to do with shared coefficients.
 
-def _features(over: Over, length: float, q: np.ndarray, Z: np.ndarray, joints: Sequence[Sequence[int]]) -> np.ndarray:
-    """What a process of unit sigma does to the rows, as columns of coefficients of unit variance, shape (N, m, d)."""
-    found = []
+        Shapes are (d,), (d,) and (d, shared).
+        """
+        Z = self._Z[rows]
+        F = np.concatenate([Z[:, :, :0], *(Z[:, :, [j]] * spans[j][rows, None] for j in joints)], axis=2)
+        less, F = self._less(F, rows).reshape(-1, F.shape[2]), F.reshape(-1, F.shape[2])
+        with_coefficients = self._J[rows].reshape(len(F), -1).T @ F
+        A = F.T @ less - with_coefficients.T @ self._own @ with_coefficients
+        told, V = np.linalg.eigh(0.5 * (A + A.T))
+        y = V.T @ (F.T @ self._left[rows].ravel())
+        return np.maximum(told, 0.0), y, V.T @ (self._left_of_shared @ with_coefficients).T
+
+
+def _parts(moved: np.ndarray, group: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows that share joints or things with one another and none with others, and their joints: limbs, or all.
+
+    Args:
+        moved: Which joints move which rows, shape (N, joints) bool.
+        group: Of each row's things, shape (N,); -1 for none.
+    """
+    still = ~moved.any(axis=1, keepdims=True)
+    row, shared = np.nonzero(np.hstack([moved, still, group[:, None] == np.arange(group.max() + 1)]))
+    size = len(moved) + int(shared.max()) + 1
+    edges = coo_array((np.ones(len(row)), (row, len(moved) + shared)), shape=(size, size))
+    part = connected_components(edges, directed=False)[1][: len(moved)]
+    each = [np.flatnonzero(part == k) for k in np.unique(part)]
+    return [(rows, np.flatnonzero(moved[rows].any(axis=0))) for rows in each]
+
+
+def _spans(over: Over, length: float, q: np.ndarray, joints: Sequence[Sequence[int]]) -> list[np.ndarray]:
+    """A process of unit sigma of each joint at N rows, as columns of coefficients of unit variance, shape (N, d) each."""
     some = np.random.default_rng(0).permutation(len(q))[:CENTRES]
     if over == "all":
-        shared = _spanned(q / length, q[some] / length)
-    for j, moving in enumerate(map(list, joints)):
+        return [_spanned(q / length, q[some] / length)] * len(joints)
+    found = []
+    for moving in map(list, joints):
         own = q[:, moving] / length
-        if over == "own" and len(moving) == 1:
+        nodes = own[some] if moving else own[:0]  # where a joint stands is a constant
+        if len(moving) == 1:
             low, high = float(own.min()) - BEYOND, float(own.max()) + BEYOND
-            shared = _spanned(own, np.linspace(low, high, int(np.ceil(high - low)) + 1)[:, None])
-        elif over == "own" and moving:
-            shared = _spanned(own, own[some])
-        elif over == "own":
-            continue  # where a joint stands is a constant
-        found.append(Z[:, :, j, None] * shared[:, None, :])
-    return np.concatenate(found, axis=2)
+            nodes = np.linspace(low, high, int(np.ceil(high - low)) + 1)[:, None]
+        found.append(_spanned(own, nodes))
+    return found
 
 
 def _spanned(q: np.ndarray, nodes: np.ndarray) -> np.ndarray:
