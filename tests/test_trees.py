@@ -139,7 +139,7 @@ def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> N
 def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
     q = readings(two_arms.machine(), 240)
     load = np.random.default_rng(4).choice([0.0, 5.0, 10.0], len(q))
-    robot = replace(two_arms.machine(2, yields=1e-4), carried=load)
+    robot = replace(two_arms.machine(2, yields=1e-4), carried={"left_hand": load})
     keys = {"tip": "right_hand", "base": "torso", "urdf": "two_arms.urdf"}  # the default path is the other arm's
     path = two_arms.write(tmp_path, robot, ("tracker",), q, payload={"column": "load", "on": "left_hand"})
     _with(path, {"robot": keys})
@@ -161,6 +161,87 @@ def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> No
         aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "left_hnd"}}))
     with pytest.raises(CampaignError, match=r"payload.on: no joint that rows measure bears 'torso'"):
         aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "torso"}}))
+
+
+def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Round trip, a check of new rows, and rows after a change, with a column for each mass."""
+    q, rng = readings(two_arms.machine(), 300), np.random.default_rng(4)
+    masses = {side: rng.choice([0.0, 5.0, 10.0], len(q)) for side in ("left", "right")}
+    robot = two_arms.machine(2, yields=5e-5)
+    robot = replace(
+        robot, shoulders=("left_j2", "right_j2"), carried={f"{side}_hand": mass for side, mass in masses.items()}
+    )
+    columns = {f"w_{side}": mass for side, mass in masses.items()}
+    payload = [{"column": f"w_{side}", "on": f"{side}_hand"} for side in masses]
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload)
+    pd.read_csv(tmp_path / "tracker.csv").assign(**columns).to_csv(tmp_path / "tracker.csv", index=False)
+    found = aridcal.calibrate(path)
+    effects = {(e["kind"], e["where"]): e["coefficients"][0] for e in found.result["effects"]}
+    assert set(effects) == {("joint_compliance", "left_j2"), ("joint_compliance", "right_j2")}
+    assert all(abs(value["value"] - 5e-5) < 4 * value["std"] < 2e-6 for value in effects.values())
+    (tmp_path / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
+    loaded = aridcal.load(tmp_path / "calibration.yaml")
+    for side in masses:
+        table = robot.table(q, target=np.full(len(q), side), **columns)
+        told, again = (each.predict(table)[XYZ].to_numpy(float) for each in (found, loaded))
+        np.testing.assert_allclose(told, again, rtol=0, atol=1e-12)
+        lighter = found.predict(table.assign(**{f"w_{side}": 0.0}))[XYZ].to_numpy(float)
+        other = found.predict(table.assign(**{f"w_{'right' if side == 'left' else 'left'}": 0.0}))
+        np.testing.assert_allclose(told, other[XYZ].to_numpy(float), rtol=0, atol=1e-12)
+        assert np.abs(told - lighter).max() > 5e-4
+    with pytest.raises(AridcalError, match="payload_left_hand"):
+        found.predict(table.drop(columns=["w_left"]))
+    monkeypatch.chdir(tmp_path)  # the campaign's markers are named from here
+    since = replace(robot, slipped=("right_j3", 1e-3))
+    two_arms.write(tmp_path / "since", since, ("tracker",), q[:30], seed=5)
+    new = pd.read_csv(tmp_path / "since" / "tracker.csv").assign(**{k: v[:30] for k, v in columns.items()})
+    told = loaded.check(new)
+    (size,) = re.findall(r"the zero of right_j3 \(limb to right_hand\), by \+([\d.]+) ", " ".join(told.lines))
+    assert abs(float(size) - 1.0) < 0.15
+    mended = loaded.recalibrate(new, tmp_path / "mended")
+    table = robot.table(q, target=np.full(len(q), "right"), **columns)
+    turned = table.assign(right_j3=table["right_j3"] + 1e-3)
+    after, moved = (each.predict(rows)[XYZ].to_numpy(float) for each, rows in ((mended, table), (loaded, turned)))
+    stale = loaded.predict(table)[XYZ].to_numpy(float)
+    assert np.linalg.norm(after - moved, axis=1).max() < 2e-4 < np.linalg.norm(stale - moved, axis=1).max()
+
+
+PAYLOADS = {
+    "the column is not there": ([{"column": "w", "on": "left_hand"}], r"payload.column: the tables have no numeric column 'w'"),
+    "one of two columns is not there": (
+        [{"column": "qw", "on": "left_hand"}, {"column": "w", "on": "right_hand"}],
+        r"payload\[[01]\].column: the tables have no numeric column",
+    ),
+    "two on one link": ([{"column": "a", "on": "left_hand"}, {"column": "b", "on": "left_hand"}], r"payload\[1\].on: two"),
+    "two in one column": ([{"on": "left_hand"}, {"on": "right_hand"}], r"payload\[1\].column: two payloads"),
+    "no link": ([{"column": "a", "on": "left_hand"}, {"column": "b", "on": "hand"}], r"payload\[1\].on: no link 'hand'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAYLOADS)
+def test_payloads_that_cannot_be_meant_are_named(name: str, tmp_path: Path) -> None:
+    payload, why = PAYLOADS[name]
+    path = two_arms.write(tmp_path, two_arms.machine(), ("tracker",), readings(two_arms.machine(), 60), payload=payload)
+    with pytest.raises(AridcalError, match=why):
+        aridcal.calibrate(path)
+
+
+def test_a_column_that_payload_names_may_stand_under_columns_too(tmp_path: Path) -> None:
+    path = two_arms.write(tmp_path, two_arms.machine(), ("tracker",), readings(two_arms.machine(), 20))
+    block = yaml.safe_load(path.read_text())["measurements"]
+    for column, fits in (("load", True), ("mass", False)):
+        _with(
+            path,
+            {
+                "measurements": block | {"columns": {"payload": column}},
+                "payload": {"column": "load", "on": "left_hand"},
+            },
+        )
+        if fits:
+            assert load_campaign(path).measurements.columns == {"payload": "load"}
+        else:
+            with pytest.raises(CampaignError, match=r"columns.payload: is 'mass' here and 'load' under payload.column"):
+                load_campaign(path)
 
 
 def test_a_row_needs_the_joints_of_its_own_path_alone(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.campaign import DiagnosisSettings, nominal_robot
+from aridcal.inputs.campaign import DiagnosisSettings, hung, nominal_robot
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.orientations import QUATERNION, column_of
 from aridcal.inputs.quantities import POSITION
@@ -260,12 +260,12 @@ def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[st
 
 
 def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool) -> Surroundings:
-    """Gravity in the base's frame, and the payload's place; ``loaded`` where there is one."""
+    """Gravity in the base's frame, and the payloads' places; ``loaded`` where there are some."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     target = frames["tip_target"].translation
-    return Surroundings(vector, target, loaded, Sights(target[None]))
+    return Surroundings(vector, hung(scenario, target), loaded, Sights(target[None]))
 
 
 def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:

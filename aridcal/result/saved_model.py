@@ -15,7 +15,7 @@ import yaml
 
 from aridcal import __version__
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.effects.sights import TARGET, Sights
 from aridcal.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
@@ -435,8 +435,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         "tip_target": frames_document(model.tip_target),
         "loads": {
             "gravity": model.around.gravity.tolist(),
-            "payload_at": model.around.lever.tolist(),
-            **({"payload_on": model.around.on} if model.around.on else {}),
+            **_payloads_document(model.around.payloads),
             "payload": model.around.loaded,
             **({"targets": model.around.sights.targets.tolist()} if _by_place(model) else {}),
         },
@@ -454,6 +453,14 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         ],
         "covariance": {"layout": LAYOUT, "data": packed(solved.covariance)},
     }
+
+
+def _payloads_document(payloads: Sequence[Payload]) -> dict[str, Any]:
+    """Where they hang."""
+    if len(payloads) > 1:
+        return {"payloads": [{"at": each.lever.tolist(), "on": each.on, "name": each.name} for each in payloads]}
+    (only,) = payloads
+    return {"payload_at": only.lever.tolist()} | ({"payload_on": only.on} if only.on else {})
 
 
 def _paths_document(model: Model) -> dict[str, Any]:
@@ -489,8 +496,9 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         coefficients = tuple(Coefficient(e.where, e.component, e.basis.function, e.station) for e in entries)
         loads = part.loads
         sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
-        at = np.array(loads.payload_at)
-        around = Surroundings(np.array(loads.gravity), at, loads.payload, sights, loads.payload_on)
+        only = Payload(np.array(loads.payload_at), loads.payload_on)
+        payloads = tuple(Payload(np.array(each.at), each.on, each.name) for each in loads.payloads) or (only,)
+        around = Surroundings(np.array(loads.gravity), payloads, loads.payload, sights)
         model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around, **paths)
         theta = np.array([e.value for e in entries], dtype=float)
         found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))
