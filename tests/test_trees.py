@@ -97,6 +97,68 @@ def test_a_command_moves_the_limb_that_carries_the_target_and_holds_the_others(
         np.testing.assert_allclose(told[robot.joints].to_numpy(float)[:, others], near[:, others], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("of", "within"), [("left_hand", "right_hand"), ("right_4", "camera"), ("torso", "left_hand")])
+def test_a_command_brings_a_link_to_a_pose_in_the_frame_of_another(
+    of: str, within: str, both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path
+) -> None:
+    """Second road: `predict` of the same two links; only the joints that carry the first one moved, if there are any."""
+    robot, found, folder = both
+    q = readings(robot, 6, 3) * 0.7
+    near = q + np.random.default_rng(1).normal(0, 0.02, q.shape)
+    pose = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    own = np.array([name.startswith("left" if of == "torso" else of.partition("_")[0]) for name in robot.joints])
+    reachable = np.where(own, q, near)  # what stays is where the seed has it
+    wanted = found.predict(robot.table(reachable), of=of, within=within)[pose]
+    told = found.compensate(wanted, seed=robot.table(near), of=of, within=within)
+    assert told["reached"].all()
+    commanded = told[robot.joints].to_numpy(float)
+    again = found.predict(told[robot.joints], of=of, within=within)[pose]
+    np.testing.assert_allclose(again[XYZ].to_numpy(float), wanted[XYZ].to_numpy(float), rtol=0, atol=1e-6)
+    turned = np.abs(np.sum(again[pose[3:]].to_numpy(float) * wanted[pose[3:]].to_numpy(float), axis=1))
+    np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(commanded[:, ~own], near[:, ~own], rtol=0, atol=1e-12)
+    assert np.abs(commanded - near)[:, own].max() > 0.01
+    robot.table(near).assign(**wanted).to_csv(tmp_path / "poses.csv", index=False)
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "joints.csv")]
+    assert aridcal.compensate.main([*asked, "--of", of, "--in", within]) == 0
+    written = pd.read_csv(tmp_path / "joints.csv")[robot.joints].to_numpy(float)
+    np.testing.assert_allclose(written, commanded, rtol=0, atol=1e-9)
+
+
+def test_poses_in_a_links_frame_need_a_link_that_is_to_be_there(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, found, folder = both
+    poses = found.predict(robot.table(readings(robot, 2)), of="left_hand")
+    with pytest.raises(CampaignError, match="of=LINK"):
+        found.compensate(poses, within="right_hand")
+    poses.to_csv(tmp_path / "poses.csv", index=False)
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "out.csv")]
+    assert aridcal.compensate.main([*asked, "--in", "right_hand"]) == 2
+    assert "--of LINK" in " ".join(capsys.readouterr().err.split())
+
+
+def test_commands_of_the_tips_link_are_those_of_the_target_where_a_robot_has_one_limb(tmp_path: Path) -> None:
+    """With the target at the tip's origin, and the world frame that of the base, `of` changes nothing."""
+    robot = two_arms.machine()
+    q, frames = readings(robot, 40), {name: {"identify": False} for name in ("world_base", "tip_target")}
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, frames=frames, diagnosis={"enabled": False})
+    rows = [[*T.translation, *pin.Quaternion(T.rotation).coeffs()] for T in robot.seen(q, "torso", "left_hand")]
+    pose = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    robot.table(q, **dict(zip(pose, np.array(rows).T, strict=True))).to_csv(tmp_path / "tracker.csv", index=False)
+    document = yaml.safe_load(path.read_text())
+    del document["instruments"]
+    path.write_text(yaml.safe_dump(document))
+    found = aridcal.calibrate(path)
+    assert len(found.model.final.model.robot.limbs) == 1
+    arm = [f"left_j{k}" for k in range(1, 7)]
+    start = robot.table(q[:10] + 0.02)[arm]
+    wanted = found.predict(robot.table(q[:10])[arm])[pose]
+    plain, of = (found.compensate(wanted, seed=start, of=link) for link in (None, "left_hand"))
+    np.testing.assert_allclose(of[arm].to_numpy(float), plain[arm].to_numpy(float), rtol=0, atol=1e-9)
+    assert of.columns.tolist() == plain.columns.tolist() and plain["reached"].all()
+
+
 @pytest.mark.parametrize("moved", ["", "right_j3"])
 def test_a_check_names_the_joint_of_the_limb_that_moved(
     moved: str,

@@ -43,6 +43,7 @@ from aridcal.result.calibration_file import (
 )
 from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
 from aridcal.robot.drive import Stated
+from aridcal.robot.kinematics import carriers
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
 from aridcal.trust.wander import Wander
@@ -377,6 +378,8 @@ class SavedModel:
             robot = self.final.model.robot
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
             one_row = OneRowModel(self.expected.model, self.expected.theta, station)
+            if self.route is not None and self.route.start is not None:
+                one_row.moves &= carriers(robot, self.route)
             low, high = np.where(one_row.moves[:, None], robot.limits, (-np.inf, np.inf)).T
             self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.turns, self.noise)
         return self._inverses[station]

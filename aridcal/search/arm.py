@@ -308,7 +308,7 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
     left = r.copy()
-    for k in np.unique(block):
+    for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
         own = block == k
         sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
         H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)
