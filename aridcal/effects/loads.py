@@ -105,8 +105,10 @@ def covariate_table(
     walked = tuple(tree_frames(robot, readings))
     pull: np.ndarray | float = 0.0
     if all(name in measured for name in around.masses):
-        pull = sum(_pull(robot, walked, each, measured[each.name][:, None] * gravity) for each in around.payloads)
-        table |= {f"{joint.name}.payload_torque": _driving(joint, pull[:, j]) for j, joint in enumerate(robot.joints)}
+        pulls = [_pull(robot, walked, each, measured[each.name][:, None] * gravity) for each in around.payloads]
+        hung = np.asarray(np.sum(pulls, axis=0))
+        table |= {f"{joint.name}.payload_torque": _driving(joint, hung[:, j]) for j, joint in enumerate(robot.joints)}
+        pull = hung
     elif around.loaded:
         return table
     loads = gravity_loads(robot, walked, gravity) + (pull if around.loaded else 0.0)
