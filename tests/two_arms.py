@@ -206,7 +206,10 @@ def grasps(robot: Machine, n: int, rng: np.random.Generator, sigma: float = SIGM
                 found.append(q)
                 label.append(f"grasp {grasp}")
                 count += 1
-    return np.array(found), np.array(label)
+    q = np.array(found)
+    if robot.slipped is not None:
+        q[:, robot.joints.index(robot.slipped[0])] -= robot.slipped[1]  # what is read there
+    return q, np.array(label)
 
 
 def joined(
