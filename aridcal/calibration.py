@@ -176,13 +176,16 @@ class Calibration:
         _warn(query)
         return _with_numbers(uncertainty(self.model, query, tool))
 
-    def compensate(self, poses: AnyTable, seed: AnyTable | None = None, of: str | None = None) -> pd.DataFrame:
+    def compensate(
+        self, poses: AnyTable, seed: AnyTable | None = None, of: str | None = None, within: str | None = None
+    ) -> pd.DataFrame:
         """Find the joints that bring the real target, or a link of the robot, to each of the wanted poses.
 
         Args:
             poses: A row for each pose; its columns of joints, if it has any, are where to start.
             seed: Rows whose joints are where to start instead: the controller's own solution, for instance.
-            of: Link of the URDF that is to be there, in the world; the joints on the way to it move, all others stay.
+            of: Link of the URDF that is to be there; the joints on the way to it move, all others stay.
+            within: Link in whose frame the poses are, which stays where the table has it; None: in the world's.
 
         Returns:
             The same rows and columns with the joints, ``reached``, ``position_error`` (and ``rotation_error``) in the
@@ -191,9 +194,11 @@ class Calibration:
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be commanded.
         """
+        if within is not None and of is None:
+            raise CampaignError("within says in which link's frame; name the link that is to be there: of=LINK")
         with working() as progress:
             progress("finding the commands")
-            asked = self.model if of is None else self.model.of_link(of)
+            asked = self.model if of is None else self.model.of_link(of, within)
             joints = asked.final.model.robot.readings
             table = poses if seed is None else seeded(poses, seed, asked.measurements, joints)
             query = read_query(asked, table, poses=True)

@@ -17,7 +17,8 @@ recorded (`joint_reading: reported` in the campaign), they are what the controll
 
 `--of LINK` takes poses of another link of the URDF, in the world: the joints on the way to it move, all others stay where the
 table has them. So it is of several targets, each in its row. A joint that stays and has no column stands in the middle of what
-was seen, for effects that depend on it.
+was seen, for effects that depend on it. `--in LINK` says that the poses are in the frame of another link, of the other hand for
+instance, whose own joints stay.
 
 With --grid the output is a correction table, for controllers that accept no model: for each point of a grid over the
 joints, the correction to be added to the nominal solution.
@@ -49,7 +50,7 @@ import numpy as np
 from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import OutputError, printable
+from aridcal.errors import CampaignError, OutputError, printable
 from aridcal.inputs.counting import counting
 from aridcal.inputs.query import Query, Remarks
 from aridcal.programs.job import Request, correct_programs
@@ -89,6 +90,9 @@ def parser() -> CommandParser:
         "--of",
         metavar="LINK",
         help="the poses are this link's of the URDF in place of the target's; the limb that a program moves",
+    )
+    command.add_argument(
+        "--in", metavar="LINK", dest="inside", help="with --of: the poses are in this link's frame, not in the world's"
     )
     command.add_argument(
         "-o",
@@ -138,7 +142,11 @@ def _with_lists(argv: Sequence[str]) -> list[str]:
 
 
 def _main(arguments: argparse.Namespace) -> None:
+    if arguments.inside is not None and arguments.of is None:
+        raise CampaignError("--in says in which link's frame; name the link that is to be there: --of LINK")
     if arguments.poses and any(is_program(path) for path in arguments.poses):
+        if arguments.inside is not None:
+            raise OutputError("--in is for tables of poses: a program's own frames say where its targets are")
         _correct_programs(arguments)
         return
     if len(arguments.poses) > 1:
@@ -157,7 +165,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
     _, aside = screens(arguments)
     calibration = SavedModel.load(arguments.calibration)
     if arguments.of is not None:
-        calibration = calibration.of_link(arguments.of)
+        calibration = calibration.of_link(arguments.of, arguments.inside)
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return

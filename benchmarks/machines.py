@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.effects.loads import Payload, Surroundings, covariate_table
 from aridcal.errors import CampaignError
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import problem
@@ -137,7 +137,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     frames = [pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-3, 3, 3)),
               pin.SE3(Rotation.random(rng=rng).as_matrix(), rng.uniform(-0.3, 0.3, 3))]  # fmt: skip
     columns = _covariates(robot, readings, rng)
-    around = Surroundings(gravity, frames[1].translation, "payload" in columns)
+    around = Surroundings(gravity, (Payload(frames[1].translation),), "payload" in columns)
 
     count = {"clean": 0, "single": 1, "off": 1, "combination": int(rng.integers(2, 4))}[what]
     causes: list[Cause] = []

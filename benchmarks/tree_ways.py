@@ -13,8 +13,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
-from tree_robot import RANGE, Poses, Robot, placed, reached, turned_by
+from tree_robot import RANGE, Poses, Robot, placed, reached, turned_by, urdf, with_errors
 
 SIGMA, PIXEL = 1e-4, 0.2
 FINGER, BALL = np.array([0.05, 0.02, 0.01]), np.array([0.02, 0.01, 0.1])
@@ -347,4 +348,50 @@ class Table(Way):
         return {}, {"planes": {"desk": {"on": "torso", "normal": [0, 0, 1], "offset": 0.04}}, "targets": targets}
 
 
-WAYS: dict[str, Way] = {way.name: way for way in (Tracker(), Reflectors(), Eye(), Ballbar(), SelfTouch(), Table())}
+class Bar(Way):
+    """Both hands hold one bar, which is taken anew six times: an unknown pose of the one hand in the other each time."""
+
+    name, kind = "joined", "joined"
+    channels: ClassVar = {"position": (3, SIGMA), "rotation": (3, SIGMA)}
+    grasps: ClassVar = 6
+    wanders: ClassVar = 0.4
+    """[rad], 1 sigma: of joints about the posture of a grasp, before the hands meet it."""
+
+    def _homes(self, robot: Robot) -> np.ndarray:
+        """Postures in which the nominal robot takes the bar, shape (grasps, joints)."""
+        return np.random.default_rng(11).uniform(-0.7, 0.7, (self.grasps, len(robot.joints)))
+
+    def things(self) -> np.ndarray:
+        """Place and turn of the right hand in the left one, of each grasp."""
+        robot = Robot(pin.buildModelFromXML(urdf().decode()), np.zeros((0, 6)))
+        nominal = with_errors(robot, np.zeros(6 * (len(robot.joints) + len(robot.ends))), ())
+        held = _between(nominal, self._homes(nominal), *HANDS.values())
+        return np.hstack([held.p, Rotation.from_matrix(held.R).as_rotvec()]).ravel()
+
+    def residual(self, robot: Robot, things: np.ndarray, rows: Seen) -> np.ndarray:  # noqa: D102
+        each = [placed(own) for own in things.reshape(-1, 6)]
+        held = _by_label({str(k): Poses(*(np.broadcast_to(x, (len(rows.label), *x.shape)) for x in (own.R, own.p)))
+                          for k, own in enumerate(each)}, rows.label)  # fmt: skip
+        seen = _between(robot, rows.q, *HANDS.values())
+        return np.hstack([held.p - seen.p, turned_by(held.R, seen.R)])
+
+    def draw(self, robot: Robot, n: int, rng: np.random.Generator, noisy: bool) -> Seen:  # noqa: D102
+        number = np.arange(4 * n) % self.grasps
+        start = self._homes(robot)[number] + self.wanders * rng.standard_normal((4 * n, len(robot.joints)))
+        label, e, held = number.astype(str), self.noise(4 * n, rng, noisy), self.things()
+
+        def off(own: Robot, q: np.ndarray, k: np.ndarray) -> np.ndarray:
+            return -self.residual(own, held, Seen(q, label[k], np.zeros((len(q), 6))))
+
+        return first(touching(robot, np.clip(start, -RANGE, RANGE), off, label, e), n)
+
+    def table(self, robot: Robot, rows: Seen) -> pd.DataFrame:  # noqa: D102
+        return own_joints(robot, rows, grasp=rows.label)
+
+    def keys(self) -> tuple[dict[str, Any], dict[str, Any]]:  # noqa: D102
+        return {"links": list(HANDS.values())}, {}
+
+
+WAYS: dict[str, Way] = {
+    way.name: way for way in (Tracker(), Reflectors(), Eye(), Ballbar(), SelfTouch(), Table(), Bar())
+}

@@ -9,7 +9,7 @@ from heads import MODEL, SETTINGS, START, T_TIP_CAMERA, THETA, Shots, calibrated
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.instruments.camera import predict_pixels, predict_ranges
 from aridcal.instruments.camera_sonar import COUNT, Head
 from aridcal.result.pipeline import judged
@@ -105,7 +105,7 @@ def test_an_arm_that_does_not_repeat_weighs_on_the_poses_and_not_on_what_shots_s
 def test_what_an_arm_lacks_and_nobody_seeks_is_structure_in_shots_as_it_is_in_poses():
     """Some shots have fewer image points than a trace has numbers; the questions to the residual must not fall silent for it."""
     bends = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
-    around = Surroundings(np.array([0.0, 9.81, 0.0]), T_TIP_CAMERA.translation)
+    around = Surroundings(np.array([0.0, 9.81, 0.0]), (Payload(T_TIP_CAMERA.translation),))
     model = replace(MODEL.with_coefficients((*MODEL.coefficients, bends)), around=around)
     off = "diagnosis: {enabled: false}"
     for size, words in ((0.0, {"noise_floor"}), (2e-6, {"structure_remains"})):

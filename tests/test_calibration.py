@@ -10,7 +10,7 @@ import robots
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.errors import AridcalError
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel, SolvedModel
@@ -30,7 +30,7 @@ def example(urdf: bytes | None = None) -> SavedModel:
     )
     constants = (Coefficient("joint_2", "beta"), Coefficient("joint_3", "yaw"), Coefficient("world_base", "x"))
     gravity = rng.normal(size=(2, 3))
-    geometric = Model(robot, constants, world, tip, Surroundings(gravity, tip[0][1].translation))
+    geometric = Model(robot, constants, world, tip, Surroundings(gravity, (Payload(tip[0][1].translation),)))
     A = rng.normal(size=(6, 6))
     return SavedModel(
         SolvedModel(geometric, rng.normal(size=3), np.eye(3) / 3),
@@ -53,7 +53,7 @@ def test_what_is_written_is_what_is_read(tmp_path: Path) -> None:
         assert np.array_equal(a.covariance, b.covariance)
         assert a.model.coefficients == b.model.coefficients
         assert np.array_equal(a.model.around.gravity, b.model.around.gravity)
-        assert np.array_equal(a.model.around.lever, b.model.around.lever)
+        assert np.array_equal(a.model.around.payloads[0].lever, b.model.around.payloads[0].lever)
         for frames in ("world_base", "tip_target"):
             for (name, T), (other, U) in zip(getattr(a.model, frames), getattr(b.model, frames), strict=True):
                 assert name == other

@@ -26,7 +26,7 @@ from aridcal.effects.catalogue import (
 from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed
 from aridcal.effects.labels import STATION, label_columns
-from aridcal.effects.loads import Surroundings, covariate_table
+from aridcal.effects.loads import Payload, Surroundings, covariate_table
 from aridcal.effects.sights import TARGET, Sights, sight_table
 from aridcal.head.detections import head_things
 from aridcal.identify import main as identify
@@ -96,7 +96,7 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
     columns["joint_1_direction"] = rng.choice([-1.0, 1.0], N)
     columns |= label_columns(LABELS, rng.choice(["a", "b", ""], N))
     lever = np.array([0.1, 0.2, 0.3])
-    around = Surroundings(np.array([1.0, 9.0, -3.0]), lever, sights=Sights(lever[None]))
+    around = Surroundings(np.array([1.0, 9.0, -3.0]), (Payload(lever),), sights=Sights(lever[None]))
     table = covariate_table(robot, q, columns, around, np.zeros(N, dtype=int), {".gravity_", ".payload_"})
     table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(N, dtype=int))
     frames = ((None, robots.random_placement(rng)),)

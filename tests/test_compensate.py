@@ -15,7 +15,7 @@ from aridcal import compensate, predict
 from aridcal.calibration import Calibration
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.errors import MeasurementError
 from aridcal.fit.constants import constants
 from aridcal.inputs.approach import approach
@@ -43,7 +43,9 @@ def calibration(
     wrong = constants(robot, "full")
     world = tuple((label, robots.random_placement(rng)) for label in stations)
     tip = ((None, robots.random_placement(rng, 0.2)),)
-    geometric = Model(robot, wrong, world, tip, Surroundings(np.array([0.0, 0.0, -9.81]), tip[0][1].translation))
+    geometric = Model(
+        robot, wrong, world, tip, Surroundings(np.array([0.0, 0.0, -9.81]), (Payload(tip[0][1].translation),))
+    )
     theta = rng.normal(0.0, 1e-3, len(wrong))
     final = geometric.with_coefficients((*wrong, *effects))
     values = np.concatenate([theta, list(effects.values())])

@@ -10,7 +10,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import candidates, declared
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry
@@ -79,7 +79,7 @@ def test_a_sound_head_is_left_alone(seed):
 
 def test_what_the_arm_lacks_is_not_blamed_on_the_head():
     bends = Coefficient("joint_3", "axis", Basis("linear", ("joint_3.gravity_torque",), (0.0,)))
-    around = Surroundings(np.array([0.0, 9.81, 0.0]), T_TIP_CAMERA.translation)
+    around = Surroundings(np.array([0.0, 9.81, 0.0]), (Payload(T_TIP_CAMERA.translation),))
     model = MODEL.with_coefficients((*MODEL.coefficients, bends))
     model = type(model)(model.robot, model.coefficients, model.world_base, model.tip_target, around)
     arm, _ = calibrated(shots(40, START, 0, QUIET, model, np.append(THETA, 2e-6))[0])

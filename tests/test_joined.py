@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +94,36 @@ def test_a_tracker_beside_it_tells_the_rest(tmp_path: Path) -> None:
     )
     between = np.linalg.norm(told["left"] - told["right"], axis=1)
     np.testing.assert_allclose(between, np.linalg.norm(left - right, axis=1), rtol=0, atol=5e-4)
+
+
+@pytest.mark.parametrize("moved", ["", "right_j3", "left_j4"])
+def test_new_grasps_tell_which_joint_of_which_arm_moved_and_mend_it(
+    moved: str, held: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path
+) -> None:
+    """Grasps that the calibration never saw, of a real robot whose zero has moved; the mended one holds them still."""
+    robot, found, folder = held
+    (folder / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
+    before = aridcal.load(folder)
+    since = replace(robot, slipped=(moved, 2e-3) if moved else None)
+    two_arms.write(tmp_path / "since", since, ("joined",), np.zeros((40, len(robot.joints))), seed=7)
+    new = pd.read_csv(tmp_path / "since" / "joined.csv")
+    new["grasp"] = "new " + new["grasp"]
+    told = before.check(new)
+    assert told.good == (not moved)
+    if not moved:
+        return
+    limb = f"{moved.partition('_')[0]}_hand"
+    (size,) = re.findall(rf"the zero of {moved} \(limb to {limb}\), by \+([\d.]+) ", " ".join(told.lines))
+    assert abs(float(size) - 2.0) < 0.3
+    if moved != "right_j3":
+        return
+    after = before.recalibrate(new, tmp_path / "mended")
+    q, label = two_arms.grasps(since, 80, np.random.default_rng(5), 0.0)
+    spread = []
+    for each in (before, after):
+        places = each.predict(robot.table(q), of="right_hand", within="left_hand")[XYZ].to_numpy(float)
+        spread.append(max(np.sqrt(places[label == name].var(axis=0).sum()) for name in np.unique(label)))
+    assert spread[1] < 2 * two_arms.SIGMA < 5 * two_arms.SIGMA < spread[0]
 
 
 SLIPS: dict[str, tuple[dict[str, Any], str]] = {

@@ -14,7 +14,7 @@ import yaml
 from test_trees import readings
 
 import aridcal
-from aridcal.ageing.comparison import compare
+from aridcal.ageing.comparison import compare, lines
 from aridcal.result.controllers import tables
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import parse_robot, with_limbs
@@ -121,8 +121,10 @@ def test_compare_sees_a_zero_that_moved_on_either_limb(tmp_path: Path) -> None:
     before = model("before", 1)
     assert not compare(before, model("same", 2)).changed
     for joint in ("left_j3", "right_j3"):
-        (cause,) = compare(before, model(joint, 3, joint)).causes.found
-        assert cause.words == f"the zero of {joint}"
+        found = compare(before, model(joint, 3, joint))
+        (cause,) = found.causes.found
+        assert any(line.startswith(f"changed: {cause.words} by +") for line in lines(found))
+        assert cause.words == f"the zero of {joint} (limb to {joint.partition('_')[0]}_hand)"
         np.testing.assert_allclose(cause.value, 2e-3, rtol=0, atol=4 * float(cause.std[0]))
 
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, direction
-from aridcal.effects.loads import Surroundings, bearing_components, covariate_table, needs
+from aridcal.effects.loads import Payload, Surroundings, bearing_components, covariate_table, needs
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
@@ -57,10 +57,10 @@ def test_loads_are_those_of_a_point_mass_at_the_target(kinds: str) -> None:
     urdf = robots.random_chain(rng, kinds)
     robot = parse_robot(urdf, "tip")
     q, payload = robots.readings(robot, 12, rng), rng.uniform(0.0, 20.0, 12)
-    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.3, loaded=True)
+    around = Surroundings(rng.normal(size=3) * 9.81, (Payload(rng.normal(size=3) * 0.3),), loaded=True)
     found = loads_of(robot, q, around, payload)
     for k in range(len(q)):
-        model = with_mass(urdf, payload[k], around.lever)
+        model = with_mass(urdf, payload[k], around.payloads[0].lever)
         model.gravity.linear = around.gravity
         data = model.createData()
         at = pin.neutral(model)
@@ -81,39 +81,44 @@ def test_loads_are_those_of_a_point_mass_at_the_target(kinds: str) -> None:
                 np.testing.assert_allclose(across, direction(component, joint.axis) @ moment, rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("on", ["", "left_hand", "right_4"])
-def test_a_payload_on_a_link_pulls_the_joints_that_bear_it_alone(on: str) -> None:
-    """Second road: Pinocchio's inverse dynamics of two arms, one of which carries a mass more; for one row, too."""
-    rng = np.random.default_rng(len(on))
+@pytest.mark.parametrize(
+    "on", [("",), ("left_hand",), ("right_4",), ("left_hand", "right_hand"), ("left_6", "left_hand")]
+)
+def test_payloads_on_links_pull_the_joints_that_bear_them_alone(on: tuple[str, ...]) -> None:
+    """Second road: Pinocchio's inverse dynamics of two arms with the masses added; for one row, too."""
+    rng = np.random.default_rng(len(on[0]))
     robot = with_limbs(parse_robot(two_arms.urdf(), "left_hand", "torso"), ["right_hand", "head"])
-    q, payload = rng.uniform(-1.0, 1.0, (9, len(robot.readings))), rng.uniform(1.0, 20.0, 9)
-    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.3, loaded=True, on=on)
+    q = rng.uniform(-1.0, 1.0, (9, len(robot.readings)))
+    hung = tuple(Payload(rng.normal(size=3) * 0.3, link, f"payload_{link}") for link in on)
+    masses = {each.name: rng.uniform(1.0, 20.0, 9) for each in hung}
+    around = Surroundings(rng.normal(size=3) * 9.81, hung, loaded=True)
     names = [f"{joint.name}.{kind}_torque" for joint in robot.joints for kind in ("gravity", "payload")]
-    found = loads_of(robot, q, around, payload)
+    found = covariate_table(robot, q, masses, around, np.zeros(9, dtype=int), set(names))
     asked = tuple(Coefficient(name.partition(".")[0], "axis", Basis("linear", (name,), (0.0,))) for name in names)
     whole = Model(robot, asked, around=around)
     theta = np.full(len(asked), 1e-4)
-    one, (_, p) = OneRowModel(whole, theta), whole.poses(theta, whole.rows(q, {"payload": payload}))
+    one, (_, p) = OneRowModel(whole, theta), whole.poses(theta, whole.rows(q, masses))
+    assert set(whole.needs) == set(one.needs) == set(masses)
     for k in range(len(q)):
-        np.testing.assert_allclose(
-            one.pose(q[k], one.effects(q[k], {"payload": payload[k]}))[1], p[k], rtol=0, atol=1e-12
-        )
+        carried = {name: float(values[k]) for name, values in masses.items()}
+        np.testing.assert_allclose(one.pose(q[k], one.effects(q[k], carried))[1], p[k], rtol=0, atol=1e-12)
     model = pin.buildModelFromXML(two_arms.urdf().decode())
     model.gravity.linear = around.gravity
-    link = model.frames[model.getFrameId(on or "left_hand")]
+    links = [model.frames[model.getFrameId(link or "left_hand")] for link in on]
     order = [robot.readings.index(name) for name in model.names[1:]]
     for k in range(len(q)):
-        torque = []
-        for mass in (0.0, payload[k]):
-            carrying = model.copy()
-            hung = pin.Inertia(mass, link.placement.act(around.lever), np.zeros((3, 3)))
-            carrying.inertias[link.parentJoint] = model.inertias[link.parentJoint] + hung
+        torque, carrying = [], model.copy()
+        for loaded in (False, True):
+            for link, each in zip(links, hung if loaded else (), strict=False):
+                mass = pin.Inertia(masses[each.name][k], link.placement.act(each.lever), np.zeros((3, 3)))
+                carrying.inertias[link.parentJoint] += mass
             torque.append(pin.computeGeneralizedGravity(carrying, carrying.createData(), q[k][order]))
         for joint in robot.joints:
             i = model.joints[model.getJointId(joint.name)].idx_v
             both = found[f"{joint.name}.gravity_torque"][k], found[f"{joint.name}.payload_torque"][k]
             np.testing.assert_allclose(both, (-torque[1][i], torque[0][i] - torque[1][i]), rtol=1e-9, atol=1e-9)
-            assert (both[1] == 0.0) == (model.getJointId(joint.name) not in model.supports[link.parentJoint].tolist())
+            bearing = {k for link in links for k in model.supports[link.parentJoint]}
+            assert (both[1] == 0.0) == (model.getJointId(joint.name) not in bearing)
 
 
 @pytest.mark.parametrize("base", ["base", "branch", "link_3"])
@@ -150,7 +155,7 @@ def test_what_drives_a_joint_is_the_slope_of_the_potential_energy(kinds: str, ba
 def test_without_a_payload_column_or_with_one_of_zeros_nothing_changes() -> None:
     rng = np.random.default_rng(4)
     robot = robots.random_robot(4)
-    q, around = robots.readings(robot, 9, rng), Surroundings(lever=np.array([0.1, 0.2, 0.3]))
+    q, around = robots.readings(robot, 9, rng), Surroundings(payloads=(Payload(np.array([0.1, 0.2, 0.3])),))
     bare = loads_of(robot, q, around, None)
     of_links = [name for name in bare if ".gravity_" in name]
     assert of_links
@@ -168,7 +173,7 @@ def test_one_row_bears_the_payload_that_many_rows_bear(base: str) -> None:
     names = [f"{j.name}.gravity_torque" for j in robot.joints]
     names += [f"{j.name}.gravity_moment_{c}" for j in robot.joints for c in bearing_components(j.kind)]
     effects = tuple(Coefficient(n.partition(".")[0], "axis", Basis("linear", (n,), (0.0,))) for n in names)
-    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2, loaded=True)
+    around = Surroundings(rng.normal(size=3) * 9.81, (Payload(rng.normal(size=3) * 0.2),), loaded=True)
     model, theta = Model(robot, effects, around=around), rng.normal(0.0, 1e-4, len(effects))
     q, payload = robots.readings(robot, 20, rng), rng.uniform(0.0, 9.0, 20)
     _, p = model.poses(theta, model.rows(q, {"payload": payload}))
@@ -202,7 +207,7 @@ def write_under(folder: Path, loads: list[float], holes: int = 0) -> Path:
     model = replace(
         rigid.model,
         coefficients=(*rigid.model.coefficients, SAG),
-        around=Surroundings(np.array([0.0, 0.0, -9.81]), tip.translation, loaded=True),
+        around=Surroundings(np.array([0.0, 0.0, -9.81]), (Payload(tip.translation),), loaded=True),
     )
     R, p = model.poses(np.append(rigid.theta, COMPLIANCE), model.rows(rigid.readings, {"payload": payload}))
     p = p + SIGMA * rng.normal(size=p.shape)
@@ -276,4 +281,4 @@ def test_the_payload_hangs_where_the_final_model_has_the_target(tmp_path: Path) 
     outcome = identify(write_under(tmp_path, [0.0, 5.0, 10.0]))
     final = outcome.stage("final").fit
     lever = final.model.frames(final.theta)[1][0][1].translation
-    assert np.linalg.norm(final.model.around.lever - lever) < 2e-4
+    assert np.linalg.norm(final.model.around.payloads[0].lever - lever) < 2e-4

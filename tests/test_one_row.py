@@ -10,7 +10,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, candidates
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.kinds import Observed, bumps
-from aridcal.effects.loads import Surroundings, bearing_components, covariate_table
+from aridcal.effects.loads import Payload, Surroundings, bearing_components, covariate_table
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.fit.constants import constants
 from aridcal.model.model import Model
@@ -40,7 +40,7 @@ def test_pose_is_the_models_for_every_kind_of_effect(seed: int) -> None:
     rng = np.random.default_rng(seed)
     robot = robots.random_robot(seed) if seed else robots.arid()
     q, columns = robots.readings(robot, ROWS, rng), measured(robot, rng)
-    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2)
+    around = Surroundings(rng.normal(size=3) * 9.81, (Payload(rng.normal(size=3) * 0.2),))
     effects = every_effect(robot, q, columns, around)
     assert {c.basis.form for c in effects} >= {"linear", "sin", "bump", "power", "times_power"}
     some = tuple(effects[k] for k in rng.permutation(len(effects))[:300])
@@ -91,7 +91,7 @@ def test_loads_are_those_of_the_arrays_wherever_the_chain_starts(base: str) -> N
     loads = [f"{j.name}.gravity_torque" for j in robot.joints] + [f"{j.name}.payload_torque" for j in robot.joints]
     loads += [f"{j.name}.gravity_moment_{c}" for j in robot.joints for c in bearing_components(j.kind)]
     effects = tuple(Coefficient(load.partition(".")[0], "axis", Basis("linear", (load,), (0.0,))) for load in loads)
-    around = Surroundings(rng.normal(size=3) * 9.81, rng.normal(size=3) * 0.2)
+    around = Surroundings(rng.normal(size=3) * 9.81, (Payload(rng.normal(size=3) * 0.2),))
     model = Model(robot, effects, around=around)
     theta = rng.normal(0.0, 1e-4, len(effects))
     q, payload = robots.readings(robot, ROWS, rng), rng.uniform(0.0, 5.0, ROWS)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from aridcal import predict
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.inputs.measurement_settings import MeasurementSettings
 from aridcal.model.model import Model
 from aridcal.result.predict import orientations
@@ -38,7 +38,7 @@ def calibration(
     world = tuple((s, robots.random_placement(rng)) for s in stations)
     tip = ((None, robots.random_placement(rng, 0.2)),)
     constants = (Coefficient("joint_2", "pitch"), Coefficient("joint_4", "y"))
-    around = Surroundings(np.array([0.0, 9.81, 0.0]), tip[0][1].translation)
+    around = Surroundings(np.array([0.0, 9.81, 0.0]), (Payload(tip[0][1].translation),))
     geometric = Model(robots.arid(), constants, world, tip, around)
     final = geometric.with_coefficients(constants + effects)
     theta = np.full(len(final.coefficients), 1e-3)

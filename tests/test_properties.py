@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.fit.constants import constants
 from aridcal.fit.problem import problem
 from aridcal.fit.stages import Geometry, fit_geometry
@@ -368,7 +368,7 @@ def test_a_saved_calibration_predicts_what_it_predicted_before(
     labels = ("A", "ü 1: [b]") if stations else (None,)
     world = tuple((label, robots.random_placement(rng)) for label in labels)
     wrong = constants(robot, "full")
-    around = Surroundings(rng.normal(size=3), rng.normal(size=3), True)
+    around = Surroundings(rng.normal(size=3), (Payload(rng.normal(size=3)),), True)
     solved = []
     for coefficients in (wrong, wrong + effects):
         root = rng.normal(size=(len(coefficients), len(coefficients)))

@@ -435,8 +435,6 @@ def test_the_shipped_campaign_is_what_its_scenario_makes(tmp_path, name):
         ({}, {"measurements": {"orientation": {"rotvec": ["a", "b", "c"]}}}, r"measurements\.orientation"),
         ({}, {"measurements": {"kind": "camera_sonar"}}, r"measurements\.head"),
         ({}, {"frames": {"world_base": {"per": "station"}}}, r"per: station"),
-        ({}, {"measurements": {"kind": "joined", "links": ["a", "b"]}}, r"measurements\.links: .* are not simulated"),
-        ({}, {"payload": {"on": "flange"}}, r"payload: a simulated mass hangs at the target"),
     ],
 )
 def test_what_cannot_be_simulated_is_named_with_the_file(tmp_path, truth, keys, message):

@@ -219,7 +219,7 @@ def test_effects_bend_the_arm_and_the_target_still_meets_its_socket(tmp_path: Pa
     tip = made.frames["tip_target"]
     from aridcal.prepare.simulation import surroundings
 
-    around = surroundings(made.scenario, made.frames, loaded=False)
+    around = surroundings(made.scenario, made.frames, ())
     model = Model(robot, (*constants, *causes, *bent), ((None, made.frames["world_base"]),), ((None, tip),), around)
     theta = np.array(
         [*made.parameters.values(), *made.causes[0].values, *made.causes[2].values, *made.causes[1].values]

@@ -211,3 +211,81 @@ def test_a_point_that_the_other_hand_cannot_meet_is_refused(tmp_path: Path) -> N
     path = scenario(tmp_path, {"kind": "point", "target": "finger"}, n=1, instruments={"points": {"far": [9, 9, 9]}})
     with pytest.raises(CampaignError, match="does not reach"):
         simulate(load_settings(path, Scenario))
+
+
+JOINED = {"kind": "joined", "links": ["left_hand", "right_hand"], "name": "bar"}
+SHOULDERS = {
+    side: {"kind": "joint_compliance", "where": f"{side}_j2", "coefficients": 1e-4} for side in ("left", "right")
+}
+
+
+def held(truth: dict, grasp: str) -> pin.SE3:
+    """The second hand in the first, as the file of the truth has it."""
+    return frame(truth["instruments"]["grasp"][grasp])
+
+
+def test_both_hands_hold_the_body_as_it_was_grasped(tmp_path: Path) -> None:
+    """Second road: Pinocchio's poses of the true robot, one shoulder of which gives way."""
+    blocks = [JOINED, JOINED | {"name": "head", "links": ["camera", "right_hand"]}]
+    robot, truth, tables = made(tmp_path, blocks, {}, n=40, effects=[SHOULDERS["left"]], parameters=CONSTANTS | OF_HEAD)
+    nominal, shoulder = pin.buildModelFromXML(two_arms.urdf().decode()), robot.joints.index("left_j2")
+    data = nominal.createData()
+    for table, (first, second) in zip(tables, (JOINED["links"], ("camera", "right_hand")), strict=True):
+        q = readings(robot, table)
+        bent = q.copy()
+        bent[:, shoulder] -= 1e-4 * np.array([pin.computeGeneralizedGravity(nominal, data, row)[shoulder] for row in q])
+        for T, grasp in zip(robot.seen(bent, first, second), table["grasp"], strict=True):
+            np.testing.assert_allclose(pin.log6(held(truth, grasp).actInv(T)).vector, 0.0, rtol=0, atol=2e-8)
+        assert np.abs(q).max() <= 1.5 and table["grasp"].nunique() == 6
+        assert (table["grasp"] != table["grasp"].shift()).sum() == 6  # one after the other
+        moved = q[:, [name.startswith("right") for name in robot.joints]]
+        assert all(np.ptp(moved[table["grasp"] == grasp], axis=0).max() > 0.3 for grasp in set(table["grasp"]))
+    assert set(tables[0]["grasp"]).isdisjoint(tables[1]["grasp"])
+
+
+def test_a_body_gives_way_by_the_noise(tmp_path: Path) -> None:
+    robot, truth, (table,) = made(tmp_path, JOINED, {}, n=200, noise={"position": 1e-3, "rotation": 2e-3})
+    T = robot.seen(readings(robot, table), *JOINED["links"])
+    off = [held(truth, grasp).actInv(each) for grasp, each in zip(table["grasp"], T, strict=True)]
+    for values, sigma in (([o.translation for o in off], 1e-3), ([pin.log3(o.rotation) for o in off], 2e-3)):
+        assert abs(np.sqrt(np.mean(np.square(values))) / sigma - 1.0) < 4.0 / np.sqrt(2 * 3 * len(off))
+
+
+def test_what_both_hands_held_in_a_simulation_is_identified_to_its_noise(tmp_path: Path) -> None:
+    made(tmp_path, JOINED, {}, n=150, noise={"position": 1e-4, "rotation": 1e-4})
+    found = aridcal.calibrate(tmp_path / "out" / "campaign.yaml")
+    assert found.result["verdict"] == "noise_floor" and found.effects.empty
+    errors = found.errors.loc["final"].loc["test"]
+    assert errors["position_rms_mm"] < LIMIT * np.sqrt(3.0) * 0.1 < errors["position_rms_mm"] * LIMIT**2
+    assert errors["rotation_rms_mrad"] < LIMIT * np.sqrt(3.0) * 0.1
+
+
+@pytest.mark.parametrize("sides", [("left",), ("right", "left")])
+def test_payloads_bend_the_arms_that_carry_them(sides: tuple[str, ...], tmp_path: Path) -> None:
+    """Second road: Pinocchio's inverse dynamics of the nominal robot with the masses that the table has."""
+    payload = [{"column": f"w_{side}", "on": f"{side}_hand"} for side in sides]
+    keys = {"payload": payload if len(sides) > 1 else payload[0]}
+    path = scenario(tmp_path, {"kind": "pose"}, {}, effects=[*SHOULDERS.values()])
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | keys))
+    assert main([str(path), "-o", str(tmp_path / "out")]) == 0
+    table = pd.read_csv(tmp_path / "out" / "measurements.csv")
+    assert yaml.safe_load((tmp_path / "out" / "campaign.yaml").read_text())["payload"] == payload
+    told = json.loads((tmp_path / "out" / "truth.json").read_text())
+    robot = two_arms.Machine(pin.buildModelFromXML(true_urdf(told["parameters"]).decode()))
+    q, nominal = readings(robot, table), pin.buildModelFromXML(two_arms.urdf().decode())
+    bent = q.copy()
+    for k, row in enumerate(q):
+        heavy = nominal.copy()
+        for side in sides:
+            hand = nominal.frames[nominal.getFrameId(f"{side}_hand")]
+            mass = pin.Inertia(float(table[f"w_{side}"][k]), hand.placement.translation, np.zeros((3, 3)))
+            heavy.inertias[hand.parentJoint] += mass
+        pulled = pin.computeGeneralizedGravity(heavy, heavy.createData(), row)
+        for joint in ("left_j2", "right_j2"):
+            bent[k, robot.joints.index(joint)] -= 1e-4 * pulled[robot.joints.index(joint)]
+    for side, own in (("left", LEFT), ("right", [0, 0, 0])):
+        rows = np.flatnonzero(table["target"] == side)
+        seen = robot.seen(bent[rows], "torso", f"{side}_hand")
+        places = [frame(WORLD).act(T.act(np.array(own))) for T in seen]
+        np.testing.assert_allclose(table[["x", "y", "z"]].to_numpy()[rows], places, rtol=0, atol=1e-9)
+    assert all(set(table[f"w_{side}"]) == {0.0, 1.0, 2.5, 5.0} for side in sides)

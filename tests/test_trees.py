@@ -97,6 +97,68 @@ def test_a_command_moves_the_limb_that_carries_the_target_and_holds_the_others(
         np.testing.assert_allclose(told[robot.joints].to_numpy(float)[:, others], near[:, others], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize(("of", "within"), [("left_hand", "right_hand"), ("right_4", "camera"), ("torso", "left_hand")])
+def test_a_command_brings_a_link_to_a_pose_in_the_frame_of_another(
+    of: str, within: str, both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path
+) -> None:
+    """Second road: `predict` of the same two links; only the joints that carry the first one moved, if there are any."""
+    robot, found, folder = both
+    q = readings(robot, 6, 3) * 0.7
+    near = q + np.random.default_rng(1).normal(0, 0.02, q.shape)
+    pose = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    own = np.array([name.startswith("left" if of == "torso" else of.partition("_")[0]) for name in robot.joints])
+    reachable = np.where(own, q, near)  # what stays is where the seed has it
+    wanted = found.predict(robot.table(reachable), of=of, within=within)[pose]
+    told = found.compensate(wanted, seed=robot.table(near), of=of, within=within)
+    assert told["reached"].all()
+    commanded = told[robot.joints].to_numpy(float)
+    again = found.predict(told[robot.joints], of=of, within=within)[pose]
+    np.testing.assert_allclose(again[XYZ].to_numpy(float), wanted[XYZ].to_numpy(float), rtol=0, atol=1e-6)
+    turned = np.abs(np.sum(again[pose[3:]].to_numpy(float) * wanted[pose[3:]].to_numpy(float), axis=1))
+    np.testing.assert_allclose(turned, 1.0, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(commanded[:, ~own], near[:, ~own], rtol=0, atol=1e-12)
+    assert np.abs(commanded - near)[:, own].max() > 0.01
+    robot.table(near).assign(**wanted).to_csv(tmp_path / "poses.csv", index=False)
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "joints.csv")]
+    assert aridcal.compensate.main([*asked, "--of", of, "--in", within]) == 0
+    written = pd.read_csv(tmp_path / "joints.csv")[robot.joints].to_numpy(float)
+    np.testing.assert_allclose(written, commanded, rtol=0, atol=1e-9)
+
+
+def test_poses_in_a_links_frame_need_a_link_that_is_to_be_there(
+    both: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot, found, folder = both
+    poses = found.predict(robot.table(readings(robot, 2)), of="left_hand")
+    with pytest.raises(CampaignError, match="of=LINK"):
+        found.compensate(poses, within="right_hand")
+    poses.to_csv(tmp_path / "poses.csv", index=False)
+    asked = [str(folder / "calibration.yaml"), str(tmp_path / "poses.csv"), "-o", str(tmp_path / "out.csv")]
+    assert aridcal.compensate.main([*asked, "--in", "right_hand"]) == 2
+    assert "--of LINK" in " ".join(capsys.readouterr().err.split())
+
+
+def test_commands_of_the_tips_link_are_those_of_the_target_where_a_robot_has_one_limb(tmp_path: Path) -> None:
+    """With the target at the tip's origin, and the world frame that of the base, `of` changes nothing."""
+    robot = two_arms.machine()
+    q, frames = readings(robot, 40), {name: {"identify": False} for name in ("world_base", "tip_target")}
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, frames=frames, diagnosis={"enabled": False})
+    rows = [[*T.translation, *pin.Quaternion(T.rotation).coeffs()] for T in robot.seen(q, "torso", "left_hand")]
+    pose = ["x", "y", "z", "qx", "qy", "qz", "qw"]
+    robot.table(q, **dict(zip(pose, np.array(rows).T, strict=True))).to_csv(tmp_path / "tracker.csv", index=False)
+    document = yaml.safe_load(path.read_text())
+    del document["instruments"]
+    path.write_text(yaml.safe_dump(document))
+    found = aridcal.calibrate(path)
+    assert len(found.model.final.model.robot.limbs) == 1
+    arm = [f"left_j{k}" for k in range(1, 7)]
+    start = robot.table(q[:10] + 0.02)[arm]
+    wanted = found.predict(robot.table(q[:10])[arm])[pose]
+    plain, of = (found.compensate(wanted, seed=start, of=link) for link in (None, "left_hand"))
+    np.testing.assert_allclose(of[arm].to_numpy(float), plain[arm].to_numpy(float), rtol=0, atol=1e-9)
+    assert of.columns.tolist() == plain.columns.tolist() and plain["reached"].all()
+
+
 @pytest.mark.parametrize("moved", ["", "right_j3"])
 def test_a_check_names_the_joint_of_the_limb_that_moved(
     moved: str,
@@ -139,7 +201,7 @@ def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> N
 def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
     q = readings(two_arms.machine(), 240)
     load = np.random.default_rng(4).choice([0.0, 5.0, 10.0], len(q))
-    robot = replace(two_arms.machine(2, yields=1e-4), carried=load)
+    robot = replace(two_arms.machine(2, yields=1e-4), carried={"left_hand": load})
     keys = {"tip": "right_hand", "base": "torso", "urdf": "two_arms.urdf"}  # the default path is the other arm's
     path = two_arms.write(tmp_path, robot, ("tracker",), q, payload={"column": "load", "on": "left_hand"})
     _with(path, {"robot": keys})
@@ -161,6 +223,87 @@ def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> No
         aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "left_hnd"}}))
     with pytest.raises(CampaignError, match=r"payload.on: no joint that rows measure bears 'torso'"):
         aridcal.calibrate(_with(path, {"payload": {"column": "load", "on": "torso"}}))
+
+
+def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Round trip, a check of new rows, and rows after a change, with a column for each mass."""
+    q, rng = readings(two_arms.machine(), 300), np.random.default_rng(4)
+    masses = {side: rng.choice([0.0, 5.0, 10.0], len(q)) for side in ("left", "right")}
+    robot = two_arms.machine(2, yields=5e-5)
+    robot = replace(
+        robot, shoulders=("left_j2", "right_j2"), carried={f"{side}_hand": mass for side, mass in masses.items()}
+    )
+    columns = {f"w_{side}": mass for side, mass in masses.items()}
+    payload = [{"column": f"w_{side}", "on": f"{side}_hand"} for side in masses]
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload)
+    pd.read_csv(tmp_path / "tracker.csv").assign(**columns).to_csv(tmp_path / "tracker.csv", index=False)
+    found = aridcal.calibrate(path)
+    effects = {(e["kind"], e["where"]): e["coefficients"][0] for e in found.result["effects"]}
+    assert set(effects) == {("joint_compliance", "left_j2"), ("joint_compliance", "right_j2")}
+    assert all(abs(value["value"] - 5e-5) < 4 * value["std"] < 2e-6 for value in effects.values())
+    (tmp_path / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
+    loaded = aridcal.load(tmp_path / "calibration.yaml")
+    for side in masses:
+        table = robot.table(q, target=np.full(len(q), side), **columns)
+        told, again = (each.predict(table)[XYZ].to_numpy(float) for each in (found, loaded))
+        np.testing.assert_allclose(told, again, rtol=0, atol=1e-12)
+        lighter = found.predict(table.assign(**{f"w_{side}": 0.0}))[XYZ].to_numpy(float)
+        other = found.predict(table.assign(**{f"w_{'right' if side == 'left' else 'left'}": 0.0}))
+        np.testing.assert_allclose(told, other[XYZ].to_numpy(float), rtol=0, atol=1e-12)
+        assert np.abs(told - lighter).max() > 5e-4
+    with pytest.raises(AridcalError, match="payload_left_hand"):
+        found.predict(table.drop(columns=["w_left"]))
+    monkeypatch.chdir(tmp_path)  # the campaign's markers are named from here
+    since = replace(robot, slipped=("right_j3", 1e-3))
+    two_arms.write(tmp_path / "since", since, ("tracker",), q[:30], seed=5)
+    new = pd.read_csv(tmp_path / "since" / "tracker.csv").assign(**{k: v[:30] for k, v in columns.items()})
+    told = loaded.check(new)
+    (size,) = re.findall(r"the zero of right_j3 \(limb to right_hand\), by \+([\d.]+) ", " ".join(told.lines))
+    assert abs(float(size) - 1.0) < 0.15
+    mended = loaded.recalibrate(new, tmp_path / "mended")
+    table = robot.table(q, target=np.full(len(q), "right"), **columns)
+    turned = table.assign(right_j3=table["right_j3"] + 1e-3)
+    after, moved = (each.predict(rows)[XYZ].to_numpy(float) for each, rows in ((mended, table), (loaded, turned)))
+    stale = loaded.predict(table)[XYZ].to_numpy(float)
+    assert np.linalg.norm(after - moved, axis=1).max() < 2e-4 < np.linalg.norm(stale - moved, axis=1).max()
+
+
+PAYLOADS = {
+    "the column is not there": ([{"column": "w", "on": "left_hand"}], r"payload.column: the tables have no numeric column 'w'"),
+    "one of two columns is not there": (
+        [{"column": "qw", "on": "left_hand"}, {"column": "w", "on": "right_hand"}],
+        r"payload\[[01]\].column: the tables have no numeric column",
+    ),
+    "two on one link": ([{"column": "a", "on": "left_hand"}, {"column": "b", "on": "left_hand"}], r"payload\[1\].on: two"),
+    "two in one column": ([{"on": "left_hand"}, {"on": "right_hand"}], r"payload\[1\].column: two payloads"),
+    "no link": ([{"column": "a", "on": "left_hand"}, {"column": "b", "on": "hand"}], r"payload\[1\].on: no link 'hand'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PAYLOADS)
+def test_payloads_that_cannot_be_meant_are_named(name: str, tmp_path: Path) -> None:
+    payload, why = PAYLOADS[name]
+    path = two_arms.write(tmp_path, two_arms.machine(), ("tracker",), readings(two_arms.machine(), 60), payload=payload)
+    with pytest.raises(AridcalError, match=why):
+        aridcal.calibrate(path)
+
+
+def test_a_column_that_payload_names_may_stand_under_columns_too(tmp_path: Path) -> None:
+    path = two_arms.write(tmp_path, two_arms.machine(), ("tracker",), readings(two_arms.machine(), 20))
+    block = yaml.safe_load(path.read_text())["measurements"]
+    for column, fits in (("load", True), ("mass", False)):
+        _with(
+            path,
+            {
+                "measurements": block | {"columns": {"payload": column}},
+                "payload": {"column": "load", "on": "left_hand"},
+            },
+        )
+        if fits:
+            assert load_campaign(path).measurements.columns == {"payload": "load"}
+        else:
+            with pytest.raises(CampaignError, match=r"columns.payload: is 'mass' here and 'load' under payload.column"):
+                load_campaign(path)
 
 
 def test_a_row_needs_the_joints_of_its_own_path_alone(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import robots
 
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
+from aridcal.effects.loads import Payload
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.search.arm import fit_constants
@@ -28,7 +29,9 @@ def measured(
     waves = [
         Coefficient(j, "axis", Basis(form, (j,), (k,))) for j in names[:4] for form, k in (("sin", 1.0), ("cos", 2.0))
     ]
-    around = replace(truth.model.around, gravity=9.81 * pull, loaded=tool > 0.0, lever=np.array([0.0, 0.0, 0.15]))
+    around = replace(
+        truth.model.around, gravity=9.81 * pull, loaded=tool > 0.0, payloads=(Payload(np.array([0.0, 0.0, 0.15])),)
+    )
     model = replace(truth.model.with_coefficients((*truth.model.coefficients, *load, *waves)), around=around)
     theta = np.concatenate([truth.theta, [compliance] * 2, gears * rng.normal(size=len(waves))])
     q = truth.readings

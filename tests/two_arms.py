@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -62,15 +63,17 @@ class Machine:
 
     Attributes:
         model: Its own.
-        yields: By how much the left shoulder gives way, [rad/(N m)].
+        yields: By how much shoulders give way, [rad/(N m)].
         slipped: A joint, and by how much its zero has moved, [rad].
-        carried: Mass that hangs at the left hand in each row, [kg]; None: nothing.
+        carried: Mass that hangs at a hand in each row, [kg].
+        shoulders: Joints that give way.
     """
 
     model: pin.Model
     yields: float = 0.0
     slipped: tuple[str, float] | None = None
-    carried: np.ndarray | None = None
+    carried: Mapping[str, np.ndarray] = field(default_factory=dict)
+    shoulders: tuple[str, ...] = ("left_j2",)
 
     @property
     def joints(self) -> list[str]:
@@ -80,16 +83,16 @@ class Machine:
     def seen(self, q: np.ndarray, start: str, end: str) -> list[pin.SE3]:
         """From one link to another in some rows, (N, joints)."""
         data, found, heavy = self.model.createData(), [], self.model.copy()
-        hand = self.model.frames[self.model.getFrameId("left_hand")]
-        shoulder = self.model.joints[self.model.getJointId("left_j2")].idx_v
+        shoulders = [self.joints.index(name) for name in self.shoulders]
         for k, row in enumerate(q):
-            if self.carried is not None:
-                mass = pin.Inertia(float(self.carried[k]), hand.placement.translation, np.zeros((3, 3)))
+            for link, masses in self.carried.items():
+                hand = self.model.frames[self.model.getFrameId(link)]
+                mass = pin.Inertia(float(masses[k]), hand.placement.translation, np.zeros((3, 3)))
                 heavy.inertias[hand.parentJoint] = self.model.inertias[hand.parentJoint] + mass
             bent = row.copy()
             if self.slipped is not None:
                 bent[self.joints.index(self.slipped[0])] += self.slipped[1]
-            bent[shoulder] -= self.yields * pin.computeGeneralizedGravity(heavy, data, row)[shoulder]
+            bent[shoulders] -= self.yields * pin.computeGeneralizedGravity(heavy, data, row)[shoulders]
             pin.framesForwardKinematics(self.model, data, bent)
             one, other = (data.oMf[self.model.getFrameId(link)] for link in (start, end))
             found.append(one.actInv(other))
@@ -203,7 +206,10 @@ def grasps(robot: Machine, n: int, rng: np.random.Generator, sigma: float = SIGM
                 found.append(q)
                 label.append(f"grasp {grasp}")
                 count += 1
-    return np.array(found), np.array(label)
+    q = np.array(found)
+    if robot.slipped is not None:
+        q[:, robot.joints.index(robot.slipped[0])] -= robot.slipped[1]  # what is read there
+    return q, np.array(label)
 
 
 def joined(

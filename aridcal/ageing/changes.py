@@ -131,10 +131,10 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
 
 
 def untold_zeros(of: Difference) -> tuple[str, ...]:
-    """Joints of which a zero that moved looks like a base or a tool that was set up anew."""
+    """Joints, with their limbs, of which a zero that moved looks like a base or a tool that was set up anew."""
     left = across(of.free, np.column_stack([column.moves for column in of.columns]))
     return tuple(
-        column.coefficient.where
+        of.robot.place_in_words(column.coefficient.where)
         for column, own in zip(of.columns, left.T, strict=True)
         if column.coefficient.basis.form == "ones" and not own @ own > FELT * float(column.moves @ column.moves)
     )
@@ -163,11 +163,14 @@ def _candidates(of: Difference) -> Iterator[_Candidate]:
             seen.append(way)
             c = coefficients[k]
             zero = c.basis.form == "ones"
-            yield _Candidate(f"the zero of {c.where}" if zero else c.name, (k,), X[:, [k]], zero)
+            place = of.robot.place_in_words(c.where)
+            words = f"the zero of {place}" if zero else place.replace(c.where, c.name, 1)
+            yield _Candidate(words, (k,), X[:, [k]], zero)
     for (where, on, _), own in effect_groups(coefficients).items():
         told = [k for k in own if felt[k] and np.any(X[:, k] != 0.0)]
         if told:
-            yield _Candidate(effect_in_words(where, on), tuple(told), _independent(X[:, told]))
+            words = effect_in_words(of.robot.place_in_words(where), on)
+            yield _Candidate(words, tuple(told), _independent(X[:, told]))
 
 
 def _one_motion(a: _Candidate, b: _Candidate) -> bool:

@@ -54,11 +54,11 @@ def _poses(found: Comparison) -> Iterator[Content]:
         [(f"Targets in {len(apart)} configurations that both know, motions of base and tool taken off", picture)]
     )
     rows = [
-        [str(place), *(reading_in_words(float(v), kind) for v, kind in zip(d.readings[k], d.kinds, strict=True))]
+        [str(place), *(reading_in_words(float(v), kind) for v, kind in zip(d.readings[k], d.robot.kinds, strict=True))]
         + [f"{number(float(apart[k]))} mm", f"{number(float(usual[k]))} mm"]
         for place, k in enumerate(worst(d).tolist(), start=1)
     ]
-    yield table(["", *d.names, "apart", "1 sigma"], rows, "Where they are farthest apart")
+    yield table(["", *d.robot.readings, "apart", "1 sigma"], rows, "Where they are farthest apart")
 
 
 def _causes(found: Comparison) -> Iterator[Content]:

@@ -240,7 +240,7 @@ def document(found: Comparison) -> dict[str, Any]:
         "constants": constants(found),
         "frames": {where: {"distance": length, "angle": turn} for where, (length, turn) in d.frames.items()},
         "not_told": [f"the zero of {name}" for name in untold_zeros(d)],
-        "worst": [dict(zip(d.names, d.readings[k].tolist(), strict=True)) for k in worst(d)],
+        "worst": [dict(zip(d.robot.readings, d.readings[k].tolist(), strict=True)) for k in worst(d)],
         "notices": list(found.notices),
         "version": __version__,
     }

@@ -48,6 +48,7 @@ from aridcal.drawing.html import counted
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.normal_equations import across, pseudo_inverse
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.robot.chain import Robot
 from aridcal.upkeep.repair import unit_of
 
 CHANGED = 0.01
@@ -106,8 +107,7 @@ class Difference:
         covariance: Of their differences, shape (K, K): the sum of both, a coefficient that one has not being known there.
         lacking: What the effects of one may be off by in the other, which has none, each of unit variance, shape (n, u).
         readings: Of the configurations, shape (M, columns), [rad] or [m].
-        names: Of the columns.
-        kinds: Of their joints.
+        robot: Whose they are.
         turns: Whether rotations are compared.
         d: What differs, in sigmas, shape (n,).
         free: What nobody can tell, shape (n, f).
@@ -121,8 +121,7 @@ class Difference:
     covariance: np.ndarray
     lacking: np.ndarray
     readings: np.ndarray
-    names: tuple[str, ...]
-    kinds: tuple[str, ...]
+    robot: Robot
     turns: bool
     d: np.ndarray
     free: np.ndarray
@@ -216,14 +215,12 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
         covariances[side] *= times
         if constants.shape[1]:
             notices.append(UNTOLD.format(("first", "second")[side], counted(constants.shape[1], "constant")))
-    robot = a.final.model.robot
     return Difference(
         columns=columns,
         covariance=covariances[0] + covariances[1],
         lacking=np.hstack(lacking),
         readings=both.readings,
-        names=tuple(robot.readings),
-        kinds=tuple(robot.kinds),
+        robot=a.final.model.robot,
         turns=both.turns,
         d=both.d * per[:, 0],
         free=np.hstack([free, *untold]),

@@ -61,7 +61,8 @@ def barred_joints(rows: Observed) -> list[Barred]:
     found = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
     loads = [values for name, values in rows.table.items() if ".gravity_" in name]
     if not loads:
-        found.append(Barred("compliance and load-side backlash", "the column payload has empty cells"))
+        why = f"the column {' or '.join(rows.masses)} has empty cells"
+        found.append(Barred("compliance and load-side backlash", why))
     elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
         found.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
     return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
@@ -83,15 +84,14 @@ def _shift(rows: Observed) -> Iterator[Effect]:
 
 
 def _payload_compliance(rows: Observed) -> Iterator[Effect]:
-    """The payload's torque about each axis; the payload itself for each motion of each joint."""
-    if "payload" not in rows.measured:
-        return
-    for j in rows.robot.joints:
+    """The payloads' torque about each axis; each payload itself for each motion of each joint."""
+    masses = [name for name in rows.masses if name in rows.measured]
+    for j in rows.robot.joints if masses else ():
         torque = f"{j.name}.payload_torque"
         if rows.load_changes(torque):
             yield Effect("payload_compliance", j.name, (slope(j.name, "axis", torque),))
-        for component in ("axis", "t1", "t2", "r1", "r2"):
-            yield Effect("payload_compliance", j.name, (slope(j.name, component, "payload"),))
+        for component, mass in product(("axis", "t1", "t2", "r1", "r2"), masses):
+            yield Effect("payload_compliance", j.name, (slope(j.name, component, mass),))
 
 
 CONDITION_KINDS = (

@@ -58,6 +58,7 @@ class Observed:
         held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
         referred: Different configurations of the rows that refer to each of those things.
         labels: Covariates of the rows' labels (see :mod:`aridcal.effects.labels`).
+        masses: Covariates of the payloads.
     """
 
     robot: Robot
@@ -67,6 +68,7 @@ class Observed:
     held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
     referred: Mapping[tuple[str, str], int] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
+    masses: tuple[str, ...] = ("payload",)
 
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""

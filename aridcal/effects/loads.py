@@ -1,4 +1,4 @@
-"""Covariates computed once from the nominal model: gravity's and the payload's pull on the joints."""
+"""Covariates computed once from the nominal model: gravity's and payloads' pull on the joints."""
 
 from __future__ import annotations
 
@@ -22,33 +22,55 @@ def is_load(name: str) -> bool:
     return any(part in name for part in LOADS)
 
 
+PAYLOAD = "payload"
+"""Covariate of the only payload; each of several is called after its link, ``payload_left_hand``."""
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A mass that hangs at a link, otherwise in each row.
+
+    Attributes:
+        lever: Its place on the link: on the tip that of T_tip_target as the calibration has it, shape (3,), [m].
+        on: The link; empty for the tip.
+        name: Of the covariate, in kg.
+    """
+
+    lever: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    on: str = ""
+    name: str = PAYLOAD
+
+
 @dataclass(frozen=True)
 class Surroundings:
     """What the loads on the joints need beside the readings.
 
     Attributes:
         gravity: In the base frame, [m/s^2], shape (3,), or (worlds, 3) where each station has its own base.
-        lever: The payload's place on its link: on the tip that of T_tip_target as the calibration has it, shape (3,), [m].
-        loaded: True where the rows have a ``payload``: it hangs there and counts in every gravity load. False of rows
-            without one, whose loads are those of the links alone.
+        payloads: What hangs at links.
+        loaded: True where the rows have all payloads: they hang there and count in every gravity load. False of rows
+            without, whose loads are those of the links alone.
         sights: Where the instruments' things and the targets are.
-        on: The link that carries the payload; empty for the tip.
     """
 
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-    lever: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    payloads: tuple[Payload, ...] = (Payload(),)
     loaded: bool = False
     sights: Sights = field(default_factory=Sights)
-    on: str = ""
+
+    @property
+    def masses(self) -> tuple[str, ...]:
+        """Covariates of the payloads."""
+        return tuple(payload.name for payload in self.payloads)
 
 
 def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[str, ...]:
-    """Columns beside the joints that some bases cannot do without, sorted; ``payload`` where one of their loads holds it."""
+    """Columns beside the joints that some bases cannot do without, sorted; payloads' where one of their loads holds them."""
     names = {name for basis in bases for name in basis.of if FORMS[basis.form].absent is None} - set(robot.names)
     names = {name for name in names if not is_sight(name)}
     loads = {name for name in names if is_load(name)}
     held = any(around.loaded or ".payload_" in name for name in loads)
-    return tuple(sorted((names - loads) | ({"payload"} if held else set())))
+    return tuple(sorted((names - loads) | (set(around.masses) if held else set())))
 
 
 def covariate_table(
@@ -65,14 +87,14 @@ def covariate_table(
         robot: The nominal chain.
         readings: Shape (N, columns), [rad] or [m].
         measured: Columns of the table, shape (N,) each.
-        around: Gravity and the payload's place.
+        around: Gravity and the payloads' places.
         world: Index of each row's world_base frame, shape (N,).
         wanted: Names that are needed; loads are computed only if one of them is.
 
     Returns:
         The joints' positions by name; the measured columns; ``JOINT.gravity_torque`` (force, if prismatic) and
-        ``JOINT.gravity_moment_C`` for the components C in which a joint does not move, both with the payload where it
-        counts; ``JOINT.payload_torque``. What would need a payload that is not among the columns is left out.
+        ``JOINT.gravity_moment_C`` for the components C in which a joint does not move, both with the payloads where they
+        count; ``JOINT.payload_torque`` of all together. What would need a payload that is not among the columns is left out.
     """
     positions = dict(zip(robot.names, robot.positions(readings).T, strict=True))
     table = dict(measured) | positions
@@ -82,12 +104,11 @@ def covariate_table(
     gravity = np.broadcast_to(per_row, (len(readings), 3))
     walked = tuple(tree_frames(robot, readings))
     pull: np.ndarray | float = 0.0
-    if "payload" in measured:
-        link = around.on or robot.tip
-        R, origin = carried(robot, walked, link)
-        weight = measured["payload"][:, None] * gravity
-        pull = _payload_loads(robot, walked, weight, origin + R @ around.lever, bears(robot, link))
-        table |= {f"{joint.name}.payload_torque": _driving(joint, pull[:, j]) for j, joint in enumerate(robot.joints)}
+    if all(name in measured for name in around.masses):
+        pulls = [_pull(robot, walked, each, measured[each.name][:, None] * gravity) for each in around.payloads]
+        hung = np.asarray(np.sum(pulls, axis=0))
+        table |= {f"{joint.name}.payload_torque": _driving(joint, hung[:, j]) for j, joint in enumerate(robot.joints)}
+        pull = hung
     elif around.loaded:
         return table
     loads = gravity_loads(robot, walked, gravity) + (pull if around.loaded else 0.0)
@@ -105,14 +126,14 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
     return np.asarray(part @ joint.axis)
 
 
-def _payload_loads(
-    robot: Robot, walked: Sequence[Walked], weight: np.ndarray, place: np.ndarray, bearing: np.ndarray
-) -> np.ndarray:
-    """What a payload of some weight, shape (N, 3) [N], at a place (N, 3) does to each joint, as :func:`gravity_loads` has it.
+def _pull(robot: Robot, walked: Sequence[Walked], payload: Payload, weight: np.ndarray) -> np.ndarray:
+    """What a payload of some weight, shape (N, 3) [N], does to each joint, as :func:`gravity_loads` has it.
 
-    On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it,
-    shape (joints,) bool.
+    On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it.
     """
+    link = payload.on or robot.tip
+    R, origin = carried(robot, walked, link)
+    place, bearing = origin + R @ payload.lever, bears(robot, link)
     chain = of_chain(robot, walked)
     senses = [float(own) * (-1.0 if joint.climbs else 1.0) for own, joint in zip(bearing, robot.joints, strict=True)]
     pulls = [np.cross(place - step.origin, weight) for step in chain]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import (
     BeforeValidator,
     Field,
@@ -18,6 +19,7 @@ from pydantic import (
 )
 
 from aridcal.effects.catalogue import KINDS, is_of_head
+from aridcal.effects.loads import PAYLOAD, Payload
 from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.inputs.counting import check_joints
 from aridcal.inputs.instrument_settings import TIP, WORLD, InstrumentSettings
@@ -221,6 +223,18 @@ class PayloadSettings(Section):
     """Link of the URDF."""
 
 
+Payloads = Annotated[tuple[PayloadSettings, ...], BeforeValidator(listed)]
+
+
+def _with_columns(block: MeasurementSettings, columns: dict[str, str]) -> MeasurementSettings:
+    """A block that knows of columns which another key of the campaign names."""
+    said = "columns" in block.model_fields_set
+    block = block.model_copy(update={"columns": block.columns | columns})
+    if not said:
+        block.model_fields_set.discard("columns")
+    return block
+
+
 class Job(Settings):
     """What a campaign and a scenario have in common."""
 
@@ -232,8 +246,8 @@ class Job(Settings):
     measurements: Annotated[MeasurementSettings, WrapValidator(_first_listed)] = MeasurementSettings()
     """The only block, or the first."""
     instruments: InstrumentSettings = InstrumentSettings()
-    payload: PayloadSettings | None = None
-    """Where the payload hangs, if not at the target of the default path."""
+    payload: Payloads = ()
+    """Where payloads hang, if there is not one at the target of the default path."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
@@ -304,17 +318,36 @@ class Job(Settings):
                 raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")
         return self
 
+    @property
+    def masses(self) -> tuple[str, ...]:
+        """Covariate of each of the payloads; of several by their links."""
+        return (PAYLOAD,) if len(self.payload) == 1 else tuple(f"{PAYLOAD}_{each.on}" for each in self.payload)
+
+    def payload_key(self, number: int) -> str:
+        """What a payload is called in messages."""
+        return f"payload[{number}]" if len(self.payload) > 1 else "payload"
+
     @model_validator(mode="after")
-    def _payload_has_one_column(self) -> Job:
-        for number, block in enumerate(self.blocks if self.payload else ()):
-            assert self.payload is not None
-            own = block.columns.setdefault("payload", self.payload.column)
-            if own != self.payload.column:
-                raise ValueError(
-                    f"{self.place(number)}.columns.payload: is {own!r} here and {self.payload.column!r} under payload.column; "
-                    "delete it here"
-                )
-        return self
+    def _payloads_have_columns(self) -> Self:
+        """The blocks read them from the columns that they name."""
+        if not self.payload:
+            return self
+        links, columns = ([getattr(each, key) for each in self.payload] for key in ("on", "column"))
+        for what, key in ((links, "on"), (columns, "column")):
+            for number, name in enumerate(what):
+                if name in what[:number]:
+                    raise ValueError(f"payload[{number}].{key}: two payloads have {name!r} here; name another for each")
+        named = dict(zip(self.masses, columns, strict=True))
+        for number, block in enumerate(self.blocks):
+            for k, (mass, column) in enumerate(named.items()):
+                own = block.columns.get(mass, column)
+                if own != column:
+                    raise ValueError(
+                        f"{self.place(number)}.columns.{mass}: is {own!r} here and {column!r} under "
+                        f"{self.payload_key(k)}.column; delete it here"
+                    )
+        blocks = tuple(_with_columns(block, named) for block in self.blocks)
+        return self.model_copy(update={"measurements": blocks[0], "listed": blocks if self.listed else ()})
 
     @model_validator(mode="after")
     def _blocks_can_be_told_apart(self) -> Job:
@@ -403,6 +436,18 @@ class Campaign(Job):
         return self
 
 
+def hung(job: Job, target: np.ndarray) -> tuple[Payload, ...]:
+    """The payloads of a campaign or a scenario; one that it says nothing of hangs at the default path's target.
+
+    Args:
+        job: Names links, at whose origins they hang.
+        target: Place of that target on the tip, shape (3,), [m].
+    """
+    if not job.payload:
+        return (Payload(target),)
+    return tuple(Payload(np.zeros(3), each.on, name) for name, each in zip(job.masses, job.payload, strict=True))
+
+
 def nominal_robot(job: Job) -> Robot:
     """Read the robot that a campaign or a scenario names.
 
@@ -424,16 +469,16 @@ def nominal_robot(job: Job) -> Robot:
                     "write tip, world or a link of the URDF"
                 )
         robot = with_limbs(robot, tuple(links))
-    if job.payload is not None:
-        names = {frame.name for frame in robot.tree.frames}
-        if job.payload.on not in names:
+    for number, payload in enumerate(job.payload):
+        names, key = {frame.name for frame in robot.tree.frames}, f"{job.path}: {job.payload_key(number)}.on"
+        if payload.on not in names:
             raise CampaignError(
-                f"{job.path}: payload.on: no link {shortened(job.payload.on)!r} in {robot.path.name}"
-                f"{nearest(job.payload.on, names)}; write a link of the URDF"
+                f"{key}: no link {shortened(payload.on)!r} in {robot.path.name}"
+                f"{nearest(payload.on, names)}; write a link of the URDF"
             )
-        if not bears(robot, job.payload.on).any():
+        if not bears(robot, payload.on).any():
             raise CampaignError(
-                f"{job.path}: payload.on: no joint that rows measure bears {job.payload.on!r}; write the link that carries it"
+                f"{key}: no joint that rows measure bears {payload.on!r}; write the link that carries it"
             )
     for name in named.controller_zeros:
         if name not in robot.readings:

@@ -100,7 +100,7 @@ class Source:
         for name in self.settings.columns:
             if name in self.stated:
                 raise CampaignError(f"{self.origin}: measurements.columns.{name}: {STATED}. Delete it here or there")
-            if name not in known and not name.startswith("temperature_"):
+            if name not in known and not name.startswith(("temperature_", "payload_")):
                 raise CampaignError(
                     f"{self.origin}: measurements.columns.{name}: is neither a joint of the chain nor a quantity"
                     f"{nearest(name, known)}"

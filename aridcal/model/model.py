@@ -130,7 +130,7 @@ class Model:
         coefficients: The unknowns, K of them; theta is their value.
         world_base: Start of T_world_base, for all rows (label None) or for each station.
         tip_target: Start of T_tip_target, likewise; none where poses of links are asked for, which hold no target.
-        around: Gravity, the payload's place and that of instruments, for what effects depend on.
+        around: Gravity, the payloads' places and those of instruments, for what effects depend on.
         instruments: The things that measurements refer to. Coefficients at one of them move it, and not the target.
         states: Where those things are, (L, P) by role; those of ``instruments`` where a role is missing.
         routes: The paths that rows take.
@@ -208,8 +208,9 @@ class Model:
             )
         varying = [self.coefficients[k] for k in self._based]
         wanted = {name for c in varying for name in c.basis.of}
-        if "payload" in self.needs and "payload" not in (covariates or {}):
-            raise CovariateNotFound("the model depends on 'payload', which was not measured: add that column")
+        for mass in self.around.masses:
+            if mass in self.needs and mass not in (covariates or {}):
+                raise CovariateNotFound(f"the model depends on {mass!r}, which was not measured: add that column")
         given = label_columns(wanted, station) | dict(covariates or {})
         table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
         if any(map(is_sight, wanted)):

@@ -267,8 +267,24 @@ class _Driven(NamedTuple):
     offset: float
 
 
+class _Hung(NamedTuple):
+    """A payload on Pinocchio's tree.
+
+    Attributes:
+        name: Of the covariate.
+        joint: The last one that bears it.
+        lever: From there, shape (3,), [m].
+        bearing: All that do.
+    """
+
+    name: str
+    joint: int
+    lever: np.ndarray
+    bearing: set[int]
+
+
 class _Loads:
-    """Gravity's and the payload's pull on the nominal joints: :func:`aridcal.effects.loads.covariate_table` for one row.
+    """Gravity's and the payloads' pull on the nominal joints: :func:`aridcal.effects.loads.covariate_table` for one row.
 
     There are two roads to the loads because one row must not cost more than its pose: Pinocchio's recursion takes 4 us
     for it, the arrays of ``covariate_table`` over 1 ms (for thousands of rows both take 3 us a row). Each checks the other
@@ -278,7 +294,7 @@ class _Loads:
 
     Args:
         robot: The nominal chain.
-        around: Gravity in the base frame, shape (3,), and the payload's place.
+        around: Gravity in the base frame, shape (3,), and the payloads' places.
         wanted: For each load: where it goes among the covariates, and its name.
     """
 
@@ -290,25 +306,27 @@ class _Loads:
         self._gravity = self._data.oMf[_link(robot, robot.base)].rotation @ around.gravity
         tree.gravity.linear = self._gravity
         self._driven = list(_driven(robot))
-        link = tree.frames[_link(robot, around.on or robot.tip)]
-        self._last, self._lever = link.parentJoint, link.placement.act(around.lever)
-        bearing = set(tree.supports[self._last])
+        self._hung = []
+        for payload in around.payloads:
+            link = tree.frames[_link(robot, payload.on or robot.tip)]
+            bearing = set(tree.supports[link.parentJoint])
+            self._hung.append(_Hung(payload.name, link.parentJoint, link.placement.act(payload.lever), bearing))
         self._along: list[tuple[int, int]] = []
         self._across: list[tuple[int, int, np.ndarray]] = []
-        self._payload: list[tuple[int, int, float]] = []
+        self._payload: list[tuple[int, int, int]] = []
         for place, name in wanted:
             joint, kind = name.rsplit(".", 1)
             k = tree.getJointId(joint)
             if kind == "gravity_torque":
                 self._along.append((place, tree.idx_vs[k]))
             elif kind == "payload_torque":
-                self._payload.append((place, tree.idx_vs[k], float(k in bearing)))
+                self._payload.append((place, k, tree.idx_vs[k]))
             else:
                 component = kind.removeprefix("gravity_moment_")
                 assert component in bearing_components(robot.joint(joint).kind)
                 about = direction(component, robot.joint(joint).axis)
                 self._across.append((place, k, tree.jointPlacements[k].rotation @ about))
-        self._bare = tree.inertias[self._last].copy() if around.loaded else None
+        self._bare = {each.joint: tree.inertias[each.joint].copy() for each in self._hung} if around.loaded else {}
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
@@ -316,9 +334,10 @@ class _Loads:
         _put(q, self._driven, readings)
         data = self._data
         if self._along or self._across:
-            if self._bare is not None:
-                hung = pin.Inertia(covariates["payload"], self._lever, np.zeros((3, 3)))
-                self._tree.inertias[self._last] = self._bare + hung
+            for joint, bare in self._bare.items():
+                self._tree.inertias[joint] = bare
+            for each in self._hung if self._bare else ():
+                self._tree.inertias[each.joint] += pin.Inertia(covariates[each.name], each.lever, np.zeros((3, 3)))
             holding = pin.computeGeneralizedGravity(self._tree, data, q)
             for place, k in self._along:
                 z[place] = -holding[k]
@@ -327,11 +346,13 @@ class _Loads:
                 z[place] = -about @ moment
         if self._payload:
             pin.computeJointJacobians(self._tree, data, q)
-            last = data.oMi[self._last]
-            push = covariates["payload"] * self._gravity
-            turn = np.cross(last.act(self._lever), push)
-            for place, k, borne in self._payload:
-                z[place] = borne * (data.J[:3, k] @ push + data.J[3:, k] @ turn)
+            pulls = []
+            for each in self._hung:
+                push = covariates[each.name] * self._gravity
+                pulls.append((each.bearing, push, np.cross(data.oMi[each.joint].act(each.lever), push)))
+            for place, joint, k in self._payload:
+                borne = [data.J[:3, k] @ push + data.J[3:, k] @ turn for own, push, turn in pulls if joint in own]
+                z[place] = sum(borne)
 
 
 class _LoadsOfArrays:
@@ -342,7 +363,7 @@ class _LoadsOfArrays:
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
-        measured = {name: np.array([covariates[name]]) for name in ("payload",) if name in covariates}
+        measured = {name: np.array([covariates[name]]) for name in self._around.masses if name in covariates}
         names = {name for _, name in self._wanted}
         world = np.zeros(1, dtype=int)
         table = covariate_table(self._robot, readings[None], measured, self._around, world, names)

@@ -25,21 +25,25 @@ from aridcal.inputs.things import Known, known_of
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.channels import columns as parts_of
 from aridcal.instruments.inclination import DOWN
+from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import TRACKER, shown
 from aridcal.model.model import Model
 from aridcal.model.model import Rows as ModelRows
-from aridcal.model.reaching import Miss, Pose, brought, draw_readings, settled
+from aridcal.model.reaching import Miss, Pose, brought, draw_readings, limits_of, settled
 from aridcal.prepare.postures import Sight, Tips, draw_images, sight
-from aridcal.prepare.scenario import Scenario, TrueFrame
-from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
-from aridcal.prepare.true_things import AROUND, Around, Real, true_anchors, true_planes, true_points
+from aridcal.prepare.scenario import Scenario, TrueFrame, columns_of
+from aridcal.prepare.true_effects import Cause, Machine, draw_columns, make_causes
+from aridcal.prepare.true_things import AROUND, Around, Real, true_anchors, true_grasps, true_planes, true_points
 from aridcal.reading.table_files import FIRST_LINE
 from aridcal.robot.chain import Robot, Route
 
 REACHED, WELL = 1000, (0.25, 0.75)
 """Postures drawn to see where the arm reaches, and quantiles of their distance from the base between which places are reached in
 many ways, and by every target."""
+
+MIDDLE = 0.4
+"""Share of each joint's range, about its middle, in which two links take a body."""
 
 PASSES, NEWTON = 5, 4
 """How often effects and the readings that they change are found in turn, and Newton's steps of each."""
@@ -79,17 +83,18 @@ class Rows:
             return states
         return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
 
-    def along(self, known: Known, real: Mapping[str, Real], tip: str) -> Rows:
+    def along(self, known: Known, real: Mapping[str, Real], tip: str, links: tuple[str, str] | None = None) -> Rows:
         """The same rows with the paths that they take.
 
         Args:
             known: What carries the things.
             real: Their names.
             tip: The robot's.
+            links: That hold one body.
         """
         refers = [self.labels(role.name, real) for role in self.kind.roles]
         labels = np.column_stack(refers) if refers else np.zeros((len(self.shot), 0), dtype=str)
-        every = routes_of(known, self.kind.name, labels, self.target, tip)
+        every = routes_of(known, self.kind.name, labels, self.target, tip, links)
         routes = tuple(dict.fromkeys(every))
         number = {route: k for k, route in enumerate(routes)}
         return replace(self, routes=routes, route=np.array([number[r] for r in every]) if len(routes) > 1 else None)
@@ -147,8 +152,11 @@ class Rows:
 
         Args:
             real: The things as they are.
-            noise: Of the rows' residuals, shape (n, m), [m].
+            noise: Of the rows' residuals, shape (n, m), [m] and [rad].
         """
+        if self.kind.joins:
+            (grasp,) = self.states(real)
+            return lambda R, p, rows: self.kind.residual(R, p, np.zeros((len(p), 0)), [grasp[rows]]) - noise[rows]
         if self.kind.touches:
             (place,) = self.states(real)
             return lambda R, p, rows: p + noise[rows] - place[rows]
@@ -187,7 +195,7 @@ def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
 
 def _own(scenario: Scenario, block: MeasurementSettings) -> list[str]:
     """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
-    if block.traits.images or (block.traits.level and block.target is None):
+    if block.traits.bare or (block.traits.level and block.target is None):
         return [own_target(block.traits, block.title)]
     if block.target is not None:
         return [block.target]
@@ -215,12 +223,14 @@ def measured(
     truth, robot = scenario.truth, machine.robot
     own = configurations.spawn(len(scenario.blocks) + 1)
     known, things = known_of(scenario), truth.instruments
-    of_role = dict(zip(("point", "anchor", "plane", "camera", "link"), of_things.spawn(5), strict=True))
+    roles = ("point", "anchor", "plane", "camera", "link", GRASP.name)
+    of_role = dict(zip(roles, of_things.spawn(len(roles)), strict=True))
     around_things = _around_things(scenario, machine, own[-1], of_role["link"])
     drawn = {
         "point": lambda rng: true_points(things, known, around_things, rng),
         "anchor": lambda rng: true_anchors(things, known, around_things, rng),
         "plane": lambda rng: true_planes(things, known, around_things, rng),
+        GRASP.name: lambda rng: _grasps(scenario, machine, rng),
     }
     trackers = tuple(block.title for block in scenario.blocks if block.traits.tracked)
     faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
@@ -259,6 +269,32 @@ def _around_things(
     reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
     near = of_links.uniform(-0.5, 0.5, (REACHED, 3)) * AROUND / 3
     return lambda carrier: reached if carrier == WORLD else near
+
+
+def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> Real:
+    """Poses in which two links take a body, of all blocks: as in postures off the limits, so that many others reach them."""
+    found = []
+    for number, block in enumerate(scenario.blocks):
+        if block.links is not None:
+            (route,) = routes_of(
+                known_of(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
+            )
+
+            def held(count: int, route: Route = route) -> tuple[np.ndarray, np.ndarray]:
+                low, high = limits_of(machine.robot)
+                middle, half = (low + high) / 2.0, (high - low) / 2.0
+                drawn = rng.uniform(-MIDDLE, MIDDLE, (count, len(low)))
+                return machine.along(route, TIP)(middle + half * drawn)
+
+            found.append(true_grasps(_of_grasps(scenario, number), scenario.truth.instruments.grasps, held))
+    names = tuple(name for each in found for name in each.names)
+    return Real(names, np.concatenate([each.states for each in found]))
+
+
+def _of_grasps(scenario: Scenario, number: int) -> str:
+    """What the labels of a block's grasps begin with: another word in each block, as they are of other links."""
+    several = sum(block.links is not None for block in scenario.blocks) > 1
+    return f"{scenario.blocks[number].title}_{GRASP.name}" if several else GRASP.name
 
 
 def _tips(known: Known, machine: Machine) -> Tips:
@@ -307,14 +343,17 @@ def _begun(
     refers = (shot % count)[:, None][:, : len(kind.roles)]
     if kind.tracked:
         refers = np.full((n, 1), real[TRACKER.name].names.index(block.title))
+    if kind.joins:  # the body is taken anew after every so many rows
+        first = real[GRASP.name].names.index(f"{_of_grasps(scenario, number)}_1")
+        refers = (first + shot * truth.instruments.grasps // n)[:, None]
     target = np.array(labels)[shot // count % len(labels)]
     gauge = truth.instruments.gauge if kind.gauges else 0.0
     rows = Rows(kind, np.zeros((n, 0)), shot, refers, target, rng.uniform(-gauge, gauge, n))
-    rows = rows.along(known, real, machine.robot.tip)
+    rows = rows.along(known, real, machine.robot.tip, block.links)
     miss = rows.miss(real, np.zeros((n, 1)))
     if miss is None:
         return replace(rows, readings=draw_readings(machine.robot, n, rng))
-    advice = "move those under `truth.instruments`"
+    advice = "name other links" if kind.joins else "move those under `truth.instruments`"
     return replace(rows, readings=brought(machine.robot, pose(rows), miss, n, rng, place, advice))
 
 
@@ -354,7 +393,7 @@ def _with_effects(
         The rows, the effects, the machine with them, its coefficients, and all columns of each block.
     """
     truth, robot = scenario.truth, machine.robot
-    names = dict.fromkeys((*truth.covariates, *columns_needed(truth.effects, robot)))
+    names = columns_of(scenario, robot, truth.effects)
     ends = np.cumsum([0, *(len(each.shot) for each in rows)])
     shots = np.cumsum([0, *(int(each.shot.max()) + 1 for each in rows)])
     shot = np.concatenate([each.shot + first for each, first in zip(rows, shots, strict=False)])
@@ -387,7 +426,7 @@ def _with_effects(
 
         sights = sights_from(machine.world, targets, states, places, plane, linked)
         around = replace(around, sights=sights)
-        of_shots = draw_columns(tuple(names), robot, readings[first_of_shot], truth.seed)
+        of_shots = draw_columns(names, robot, readings[first_of_shot], truth.seed)
         columns = {name: values[shot] for name, values in of_shots.items()}
         causes, depends = make_causes(
             truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
@@ -454,7 +493,7 @@ def _read(
         side /= np.linalg.norm(side, axis=1, keepdims=True)
         off = errors[:, :1] * side + errors[:, 1:] * np.cross(down, side)
         return dict(zip(kind.read, (down + off).T, strict=True))
-    if kind.gauges and not rows.stroke.any():
+    if kind.joins or (kind.gauges and not rows.stroke.any()):
         return {}
     nothing = np.zeros((len(p), len(kind.read)))
     predicted = nothing if kind.touches else -kind.residual(R, p, nothing, rows.states(real))
@@ -481,8 +520,7 @@ def _table(
         values[SHOT] = rows.shot + 1
     elif len(_own(scenario, block)) > 1:
         values[TARGET] = rows.target
-    wanted = dict.fromkeys((*scenario.truth.covariates, *columns_needed(scenario.truth.effects, robot)))
-    values |= dict(read) | {name: columns[name] for name in wanted}
+    values |= dict(read) | {name: columns[name] for name in columns_of(scenario, robot, scenario.truth.effects)}
     names = [block.columns.get(name, name) for name in values]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.labels import STATION
+from aridcal.effects.loads import PAYLOAD
 from aridcal.errors import CampaignError
 from aridcal.inputs.campaign import Job
 from aridcal.inputs.yaml_file import Section, Vector3
-from aridcal.prepare.true_effects import Parameter, TrueEffect, given
+from aridcal.prepare.true_effects import Parameter, TrueEffect, columns_needed, given
 from aridcal.prepare.true_things import TrueThings
+from aridcal.robot.chain import Robot
 
 
 class TrueFrame(Section):
@@ -85,6 +88,20 @@ class Scenario(Job):
         return not plain or bool(named)
 
 
+def columns_of(scenario: Scenario, robot: Robot, effects: Sequence[TrueEffect]) -> tuple[str, ...]:
+    """Columns beside the joints, each once: those that are asked for, those of some effects, and the payloads'.
+
+    Args:
+        scenario: Its truth, and the payloads that its campaign names.
+        robot: The chain.
+        effects: Of the arm.
+    """
+    needed = dict.fromkeys((*scenario.truth.covariates, *columns_needed(effects, robot)))
+    if scenario.payload:
+        needed = {name: None for name in needed if name != PAYLOAD} | dict.fromkeys(scenario.masses)
+    return tuple(needed)
+
+
 def _any_has(scenario: Scenario, key: str) -> bool:
     """True if any block of measurements sets a key."""
     return any(key in block.model_fields_set for block in scenario.blocks)
@@ -134,11 +151,6 @@ def check_scenario(scenario: Scenario) -> None:
             _any_has(scenario, "orientation"),
             "the table is written with quaternions; delete this key",
         ),
-        "measurements.links": (
-            _any_has(scenario, "links"),
-            "two links that hold one body are not simulated; delete the block",
-        ),
-        "payload": (scenario.payload is not None, "a simulated mass hangs at the target; delete this key"),
         "frames": (
             "station" in (scenario.frames.world_base.per, scenario.frames.tip_target.per),
             "stations are not simulated; delete `per: station`",

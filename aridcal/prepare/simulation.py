@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.campaign import DiagnosisSettings, nominal_robot
+from aridcal.inputs.campaign import DiagnosisSettings, hung, nominal_robot
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.orientations import QUATERNION, column_of
 from aridcal.inputs.quantities import POSITION
@@ -29,8 +29,8 @@ from aridcal.inputs.yaml_file import load_settings
 from aridcal.model.model import Model
 from aridcal.model.reaching import draw_readings
 from aridcal.prepare.measuring import measured, targets
-from aridcal.prepare.scenario import Scenario, Truth, check_scenario
-from aridcal.prepare.true_effects import Cause, Machine, columns_needed, draw_columns, make_causes
+from aridcal.prepare.scenario import Scenario, Truth, check_scenario, columns_of
+from aridcal.prepare.true_effects import Cause, Machine, draw_columns, make_causes
 from aridcal.prepare.true_things import Real, documents
 from aridcal.prepare.viewpoints import draw_views, photographed, true_head
 from aridcal.reading.files import read_file
@@ -113,9 +113,8 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         readings, _ = draw_views(nominal, optics, intrinsics, truth.n, configurations, place)
 
     of_arm = [e for e in truth.effects if not is_of_head(e.kind)]
-    names = dict.fromkeys((*truth.covariates, *columns_needed(of_arm, robot)))
-    columns = draw_columns(tuple(names), robot, readings, truth.seed)
-    around = surroundings(scenario, frames, "payload" in columns)
+    columns = draw_columns(columns_of(scenario, robot, of_arm), robot, readings, truth.seed)
+    around = surroundings(scenario, frames, columns)
     causes, depends = make_causes(of_arm, robot, readings, columns, around, chance, f"{scenario.path}: truth")
 
     of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
@@ -160,9 +159,9 @@ def _among_things(
     truth = scenario.truth
     frames = true_frames(scenario)
     machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
-    names = (*truth.covariates, *columns_needed(truth.effects, robot))
+    names = columns_of(scenario, robot, truth.effects)
     progress.at("moving the robot")
-    found = measured(scenario, machine, surroundings(scenario, frames, "payload" in names), streams)
+    found = measured(scenario, machine, surroundings(scenario, frames, names), streams)
     tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
     return Simulation(
         scenario=scenario,
@@ -259,13 +258,14 @@ def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[st
     return frames
 
 
-def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], loaded: bool) -> Surroundings:
-    """Gravity in the base's frame, and the payload's place; ``loaded`` where there is one."""
+def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], columns: Collection[str]) -> Surroundings:
+    """Gravity in the base's frame, and the payloads' places, which count where they have columns."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     target = frames["tip_target"].translation
-    return Surroundings(vector, target, loaded, Sights(target[None]))
+    payloads = hung(scenario, target)
+    return Surroundings(vector, payloads, payloads[0].name in columns, Sights(target[None]))
 
 
 def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: Progress = SILENT) -> None:

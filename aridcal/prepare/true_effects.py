@@ -16,7 +16,7 @@ from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, declared
 from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import LOADS, Surroundings, covariate_table, is_load
+from aridcal.effects.loads import LOADS, PAYLOAD, Surroundings, covariate_table, is_load
 from aridcal.effects.sights import sight_table
 from aridcal.effects.smooth import Kernel, samples_root
 from aridcal.errors import CampaignError, nearest
@@ -183,8 +183,8 @@ def draw_columns(names: Sequence[str], robot: Robot, readings: np.ndarray, seed:
     """Draw covariates as a day of measuring gives them; each depends on its name and the seed alone.
 
     Args:
-        names: ``time``, ``temperature`` or ``temperature_NAME``, ``payload``, ``JOINT_direction``; any other name is a
-            column that wanders.
+        names: ``time``, ``temperature`` or ``temperature_NAME``, ``payload`` or ``payload_LINK``, ``JOINT_direction``; any
+            other name is a column that wanders.
         robot: The chain.
         readings: Shape (N, columns), in the order of measuring.
         seed: Fixes everything.
@@ -205,7 +205,7 @@ def _draw_column(name: str, robot: Robot, readings: np.ndarray, rng: np.random.G
         return np.cumsum(PERIOD * rng.uniform(0.7, 1.3, n))
     if name == "temperature" or name.startswith("temperature_"):
         return WARMTH + WANDERS * walk
-    if name == "payload":
+    if name == PAYLOAD or name.startswith(f"{PAYLOAD}_"):
         stretch = np.arange(n) * min(STRETCHES, n) // n
         return rng.choice(PAYLOADS, int(stretch.max()) + 1)[stretch]
     if joint != name and joint in robot.names:
@@ -257,7 +257,8 @@ def make_causes(
     if places is None:
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
     table |= places
-    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=dict.fromkeys(held or {}, len(readings)))
+    referred = dict.fromkeys(held or {}, len(readings))
+    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=referred, masses=around.masses)
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}

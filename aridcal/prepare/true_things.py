@@ -14,6 +14,7 @@ from aridcal.inputs.instrument_settings import WORLD, Label, LengthSettings, Pla
 from aridcal.inputs.things import Known
 from aridcal.inputs.yaml_file import Number, Positive, Section, Vector3
 from aridcal.instruments.camera import INTRINSICS
+from aridcal.instruments.joined import GRASP
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 
@@ -77,6 +78,8 @@ class TrueThings(Section):
     cameras: dict[str, TrueCamera] = Field(default_factory=dict)
     board: Placement | None = None
     markers: Count | dict[Label, Vector3] = 12
+    grasps: Count = 6
+    """Of each block of two links that hold one body: the poses in which they take it."""
     gauge: float = Field(default=0.0, ge=0, le=1.0)
     """[m] Travel to either side of a gauge that reads the height over a plane; 0: the target touches it."""
 
@@ -202,6 +205,18 @@ def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random
     return Real(tuple(found), np.array([*found.values()]))
 
 
+def true_grasps(name: str, count: int, held: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> Real:
+    """Poses of a link in the frame of another, where these hold one body.
+
+    Args:
+        name: What their labels begin with.
+        count: How many.
+        held: Gives so many poses that the two can have: (n, 3, 3) and (n, 3), [m].
+    """
+    R, p = held(count)
+    return Real(tuple(f"{name}_{k + 1}" for k in range(count)), np.hstack([p, R.reshape(-1, 9)]))
+
+
 def camera_state(known: Known, name: str, true: TrueCamera) -> tuple[list[float], bool]:
     """State of a camera, shape (22,), and whether its place is given; where it is not, that of its link or the world."""
     stated = known.settings.cameras[name]
@@ -232,7 +247,7 @@ def _thing(role: str, state: list[float]) -> dict[str, Any]:
     place: dict[str, Any] = {"xyz": state[:3]}
     if role == "anchor":
         return place | {"offset": state[3], "scale": state[4]}
-    if role in ("camera", "board"):
+    if role in ("camera", "board", GRASP.name):
         place["rpy"] = pin.rpy.matrixToRpy(np.array(state[3:12]).reshape(3, 3)).tolist()
     if role == "camera":
         place |= dict(zip(INTRINSICS[:4], state[12:16], strict=True)) | {"distortion": state[16:21]}

@@ -93,13 +93,24 @@ class FramePart(Section):
         return station
 
 
+class PayloadPart(Section):
+    """One of several payloads."""
+
+    at: Vector3
+    on: str
+    name: str
+    """Of its covariate."""
+
+
 class LoadsPart(Section):
     """What the loads on the joints need."""
 
     gravity: Vector3 | tuple[Vector3, ...]
-    payload_at: Vector3
+    payload_at: Vector3 = (0.0, 0.0, 0.0)
     payload_on: str = ""
     """The link that carries it; empty for the tip."""
+    payloads: tuple[PayloadPart, ...] = ()
+    """In place of that one, where there are several."""
     payload: bool = False
     """Older files have none: there it never counted."""
     targets: tuple[Vector3, ...] = ()

@@ -86,7 +86,7 @@ def gravity_direction(fit: Fit, rows: Dataset) -> str:
 def _loads(fit: Fit, rows: Dataset) -> dict[tuple[str, int], np.ndarray]:
     """The load on each joint under gravity along each axis of the base, of joints that bear any."""
     model = fit.model
-    payload = {"payload": rows.covariates["payload"]} if model.around.loaded else {}
+    payload = {name: rows.covariates[name] for name in model.around.masses if model.around.loaded}
     world = rows_of_data(model, rows).world
     tables = []
     for axis in np.eye(3):

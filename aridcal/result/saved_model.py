@@ -15,7 +15,7 @@ import yaml
 
 from aridcal import __version__
 from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.effects.sights import TARGET, Sights
 from aridcal.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
@@ -43,6 +43,7 @@ from aridcal.result.calibration_file import (
 )
 from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
 from aridcal.robot.drive import Stated
+from aridcal.robot.kinematics import carriers
 from aridcal.trust.rivals import Rival, with_rivals
 from aridcal.trust.untold import with_untold
 from aridcal.trust.wander import Wander
@@ -377,6 +378,8 @@ class SavedModel:
             robot = self.final.model.robot
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
             one_row = OneRowModel(self.expected.model, self.expected.theta, station)
+            if self.route is not None and self.route.start is not None:
+                one_row.moves &= carriers(robot, self.route)
             low, high = np.where(one_row.moves[:, None], robot.limits, (-np.inf, np.inf)).T
             self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.turns, self.noise)
         return self._inverses[station]
@@ -435,8 +438,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         "tip_target": frames_document(model.tip_target),
         "loads": {
             "gravity": model.around.gravity.tolist(),
-            "payload_at": model.around.lever.tolist(),
-            **({"payload_on": model.around.on} if model.around.on else {}),
+            **_payloads_document(model.around.payloads),
             "payload": model.around.loaded,
             **({"targets": model.around.sights.targets.tolist()} if _by_place(model) else {}),
         },
@@ -454,6 +456,14 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
         ],
         "covariance": {"layout": LAYOUT, "data": packed(solved.covariance)},
     }
+
+
+def _payloads_document(payloads: Sequence[Payload]) -> dict[str, Any]:
+    """Where they hang."""
+    if len(payloads) > 1:
+        return {"payloads": [{"at": each.lever.tolist(), "on": each.on, "name": each.name} for each in payloads]}
+    (only,) = payloads
+    return {"payload_at": only.lever.tolist()} | ({"payload_on": only.on} if only.on else {})
 
 
 def _paths_document(model: Model) -> dict[str, Any]:
@@ -489,8 +499,9 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         coefficients = tuple(Coefficient(e.where, e.component, e.basis.function, e.station) for e in entries)
         loads = part.loads
         sights = Sights(np.array(loads.targets)) if loads.targets else Sights()
-        at = np.array(loads.payload_at)
-        around = Surroundings(np.array(loads.gravity), at, loads.payload, sights, loads.payload_on)
+        only = Payload(np.array(loads.payload_at), loads.payload_on)
+        payloads = tuple(Payload(np.array(each.at), each.on, each.name) for each in loads.payloads) or (only,)
+        around = Surroundings(np.array(loads.gravity), payloads, loads.payload, sights)
         model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around, **paths)
         theta = np.array([e.value for e in entries], dtype=float)
         found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))

@@ -309,6 +309,14 @@ def bears(robot: Robot, link: str) -> np.ndarray:
     return np.array([(robot.tree.getJointId(j.name) in above) != j.climbs for j in robot.joints], dtype=bool)
 
 
+def carriers(robot: Robot, route: Route) -> np.ndarray:
+    """Readings that move the end of a path and not its start, shape (columns,) bool; all on the path if there is none."""
+    up, down = (_joints_upstream(robot.tree, link_frame(robot, link or robot.base)) for link in route)
+    own = np.array([robot.tree.getJointId(joint.name) for joint in robot.joints])
+    beyond = np.isin(own, list(down - up))
+    return np.any(robot.factors[beyond if beyond.any() else np.isin(own, list(down ^ up))] != 0.0, axis=0)
+
+
 def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of a link, from where the joint is that moves it."""
     axes = joint.axes.T

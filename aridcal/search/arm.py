@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.effects.loads import Surroundings, is_load
+from aridcal.effects.loads import PAYLOAD, Surroundings, is_load
+from aridcal.errors import CampaignError, shortened
 from aridcal.fit.least_squares import PLENTY, Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
 from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import eliminated
 from aridcal.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
-from aridcal.inputs.campaign import Campaign
+from aridcal.inputs.campaign import Campaign, hung
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.catalogue import KINDS
@@ -175,9 +176,10 @@ def _hung_again(arm: CalibratedArm) -> Geometry | None:
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
     loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
-    if before.on or not (before.loaded and loads and np.linalg.norm(lever - before.lever) > HANGS):
+    (payload, *others) = before.payloads
+    if others or payload.on or not (before.loaded and loads and np.linalg.norm(lever - payload.lever) > HANGS):
         return None
-    return _around(arm.geometry, replace(before, lever=lever))
+    return _around(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
 
 
 def _around(geometry: Geometry, around: Surroundings) -> Geometry:
@@ -205,7 +207,7 @@ def fit_constants(
     """Frames and constants from the training rows, the frames at their identified place."""
     found = fit_geometry(campaign, robot, rows.fitted, labels, progress)
     geometric = recentred(found.geometric)
-    around = surroundings(campaign, geometric.model, "payload" in rows.covariates)
+    around = surroundings(campaign, geometric.model, _loaded(campaign, rows))
     around = replace(around, sights=sights_of(geometric.model, rows.fitted))
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
@@ -231,21 +233,34 @@ def fit_arm(
     return CalibratedArm(rows, geometry, found)
 
 
+def _loaded(campaign: Campaign, rows: Dataset) -> bool:
+    """True where the rows have payloads.
+
+    Raises:
+        CampaignError: one that the campaign names has no column.
+    """
+    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True)):
+        if name not in rows.covariates:
+            raise CampaignError(
+                f"{campaign.path}: {campaign.payload_key(number)}.column: the tables have no numeric column "
+                f"{shortened(payload.column)!r}; name the one of the mass, or delete the payload"
+            )
+    return bool(campaign.payload) or PAYLOAD in rows.covariates
+
+
 def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings:
-    """Gravity in the base frame and the payload's place, from the campaign and the geometric stage's frames.
+    """Gravity in the base frame and the payloads' places, from the campaign and the geometric stage's frames.
 
     Args:
         campaign: Says where gravity pulls.
         model: The geometric stage's, its frames where they were identified.
-        loaded: True where the rows have a payload.
+        loaded: True where the rows have payloads.
     """
-    gravity, payload = campaign.robot.gravity, campaign.payload
-    lever = np.zeros(3) if payload else model.tip_target[0][1].translation
-    on = payload.on if payload else ""
+    gravity, payloads = campaign.robot.gravity, hung(campaign, model.tip_target[0][1].translation)
     if gravity == "world":
         vectors = [frame.rotation.T @ EARTH for _, frame in model.world_base]
-        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], lever, loaded, on=on)
-    return Surroundings(np.array(gravity, dtype=float), lever, loaded, on=on)
+        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], payloads, loaded)
+    return Surroundings(np.array(gravity, dtype=float), payloads, loaded)
 
 
 def is_short(fit: Fit) -> bool:
@@ -293,7 +308,7 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
     left = r.copy()
-    for k in np.unique(block):
+    for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
         own = block == k
         sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
         H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)

@@ -443,9 +443,10 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     frames = rows_of_data(model, rows)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
-    payload = rows.covariates.get("payload")
-    if payload is not None and not np.isnan(payload).any():
-        measured["payload"] = payload  # it counts in the loads even where it is always the same
+    for mass in model.around.masses:
+        payload = rows.covariates.get(mass)
+        if payload is not None and not np.isnan(payload).any():
+            measured[mass] = payload  # it counts in the loads even where it is always the same
     table = covariate_table(
         model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
     )
@@ -468,5 +469,6 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
         held=model.instruments.held,
         referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
         labels=tuple(labels),
+        masses=model.around.masses,
     )
     return observed, barred + barred_joints(observed)

@@ -1,0 +1,158 @@
+"""Positioners, moving platforms, plates on links, tables of two arms: calibrated to the noise, what no row tells named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cells
+import numpy as np
+import pandas as pd
+import pinocchio as pin
+import pytest
+import two_arms
+
+import aridcal
+
+LIMIT = 1.3
+"""Held-out errors of a fifth of 200 rows or more scatter by less."""
+
+XYZ = ["x", "y", "z"]
+TARGET = pin.SE3(pin.exp3(np.array([0.1, 0.2, -0.1])), cells.FINGER)
+SPOTS = 0.1 * np.array([[0, 0, 0], [1, 0, 0.2], [0, 1, 0], [-1, 0, 0], [0, -1, 0.4]])
+NORMAL = np.array([0.05, -0.1, 1.0]) / np.linalg.norm([0.05, -0.1, 1.0])
+
+
+def positioner() -> tuple[bytes, two_arms.Machine]:
+    """An arm, and a table that tilts and turns before it."""
+    axes = [cells.Moves("revolute", "0 1 0", "0.55 0 0.2"), cells.Moves("revolute", "0 0 1", "0 0 0.1")]
+    text = cells.urdf("cell", [("arm", "cell", cells.arm("0 0 0.3"), "flange"), ("turn", "cell", axes, "plate")])
+    return text, cells.as_built(text, "cell", ("flange", "plate"))
+
+
+def platform() -> tuple[bytes, two_arms.Machine]:
+    """An arm on a platform that drives along two rails and turns."""
+    rails = [
+        cells.Moves("prismatic", "1 0 0", "0 0 0.1"),
+        cells.Moves("prismatic", "0 1 0", "0 0 0.05"),
+        cells.Moves("revolute", "0 0 1", "0 0 0.05"),
+    ]
+    text = cells.urdf("floor", [("drive", "floor", rails, "deck"), ("arm", "deck", cells.arm("0 0 0.3"), "flange")])
+    return text, cells.as_built(text, "floor", ("flange",))
+
+
+def at_the_noise(found: aridcal.Calibration, channel: str) -> None:
+    """Nothing invented, and rows that were held out as far off as they were measured."""
+    assert found.result["verdict"] == "noise_floor" and found.effects.empty
+    numbers = 1.0 if channel == "distance" else 3.0
+    ratio = found.errors.loc["final"].loc["test"][f"{channel}_rms_mm"] / (np.sqrt(numbers) * 1e3 * cells.SIGMA)
+    assert 1.0 / LIMIT < ratio < LIMIT
+
+
+def noticed(found: aridcal.Calibration, of: str, against: str) -> bool:
+    """Whether the result says that constants of joints cannot be told from those of other places."""
+    said = [notice.partition(" cannot be told from ") for notice in found.result["notices"]]
+    return any(of in former and against in latter.partition(":")[0] for former, _, latter in said)
+
+
+@pytest.mark.parametrize(("make", "base", "moved"), [(positioner, "cell", "plate"), (platform, "floor", "deck")])
+def test_a_tracker_sees_what_moves_under_the_tip_and_the_tip(
+    make: Callable[[], tuple[bytes, two_arms.Machine]], base: str, moved: str, tmp_path: Path
+) -> None:
+    """A target on the table or the platform and one on the tip, in turn: where both are to each other, by Pinocchio."""
+    text, machine = make()
+    rng = np.random.default_rng(1)
+    q, side = rng.uniform(-1.1, 1.1, (240, len(machine.joints))), np.where(np.arange(240) % 2, moved, "tool")
+
+    def targets(q: np.ndarray) -> dict[str, list[pin.SE3]]:
+        return {
+            name: [T * TARGET for T in machine.seen(q, base, link)]
+            for name, link in ((moved, moved), ("tool", "flange"))
+        }
+
+    there = targets(q)
+    table = machine.table(
+        q, target=side, **cells.tracked([there[name][k] for k, name in enumerate(side.tolist())], rng)
+    )
+    for joint in machine.joints:
+        if joint.startswith("arm"):
+            table[joint] = table[joint].where(side == "tool")  # not recorded where it is on no row's path
+    noise = {"position": cells.SIGMA, "rotation": cells.SIGMA}
+    path = cells.write(
+        tmp_path, text, {"base": base, "tip": "flange"}, {"tracker": table},
+        measurements={"kind": "pose", "file": "tracker.csv", "noise": noise},
+        instruments={"targets": {moved: {"on": moved}, "tool": {"on": "flange"}}},
+    )  # fmt: skip
+    found = aridcal.calibrate(path)
+    at_the_noise(found, "position")
+    others = rng.uniform(-1.0, 1.0, (50, len(machine.joints)))
+    told = [
+        found.predict(machine.table(others, target=np.full(50, name)))[XYZ].to_numpy(float) for name in (moved, "tool")
+    ]
+    real = [np.array([T.translation for T in places]) for places in targets(others).values()]
+    apart = [np.linalg.norm(one - other, axis=1) for one, other in (told, real)]
+    np.testing.assert_allclose(*apart, rtol=0, atol=3e-4)
+    assert np.sqrt(np.mean((apart[0] - apart[1]) ** 2)) < 1e-4
+    first = {"plate": "turn_j1 (limb to plate)", "deck": "drive_j1 (below flange and deck)"}[moved]
+    assert noticed(found, first, "world_base")
+
+
+def test_a_finger_touches_a_workpiece_on_a_positioner(tmp_path: Path) -> None:
+    """Five spots of known places on its table, which tilts and turns."""
+    text, machine = positioner()
+    rng = np.random.default_rng(1)
+    label, error = np.arange(500) % len(SPOTS), rng.normal(0, cells.SIGMA, (500, 3))
+
+    def off(q: np.ndarray, k: np.ndarray) -> np.ndarray:
+        fingers = np.array([T.act(cells.FINGER) for T in machine.seen(q, "plate", "flange")])
+        return np.asarray(fingers - SPOTS[label[k]] - error[k])
+
+    q, good = cells.met(machine, rng.uniform(-1.1, 1.1, (500, len(machine.joints))), off)
+    assert good.sum() > 150
+    table = machine.table(q[good], point=label[good].astype(str))
+    spots = pd.DataFrame(SPOTS, columns=XYZ).assign(point=[str(k) for k in range(len(SPOTS))])
+    path = cells.write(
+        tmp_path, text, {"base": "cell", "tip": "flange"}, {"touch": table, "spots": spots},
+        measurements={"kind": "point", "file": "touch.csv", "target": "finger", "noise": {"position": cells.SIGMA}},
+        instruments={
+            "points": {"file": "spots.csv", "on": "plate"},
+            "targets": {"finger": {"on": "flange", "xyz": cells.FINGER.tolist()}},
+        },
+    )  # fmt: skip
+    found = aridcal.calibrate(path)
+    at_the_noise(found, "position")
+    assert noticed(found, "turn_j1 (limb to plate)", "arm_j1 (limb to flange)")
+
+
+@pytest.mark.parametrize("on", ["right_hand", "torso"])
+def test_fingers_touch_a_plate_on_the_other_hand_or_one_table(on: str, tmp_path: Path) -> None:
+    """A plate that the right hand holds, touched by the left; or a table, touched by both, each row with its own arm's joints."""
+    machine, rng = two_arms.Machine(two_arms.machine().model, shoulders=()), np.random.default_rng(1)
+    fingers: dict[str, Any] = {"left": two_arms.LEFT} | ({"right": two_arms.RIGHT} if on == "torso" else {})
+    side, error = np.array([*fingers])[np.arange(500) % len(fingers)], rng.normal(0, cells.SIGMA, 500)
+
+    def off(q: np.ndarray, k: np.ndarray) -> np.ndarray:
+        height = {
+            name: np.array([T.act(own) for T in machine.seen(q, on, f"{name}_hand")]) @ NORMAL
+            for name, own in fingers.items()
+        }
+        met = np.array([height[name][row] for row, name in enumerate(side[k].tolist())])
+        return np.asarray(met - 0.09 - error[k])[:, None]
+
+    q, good = cells.met(machine, rng.uniform(-1.1, 1.1, (500, len(machine.joints))), off)
+    assert good.sum() > 400
+    table = machine.table(q[good], target=side[good])
+    for joint in machine.joints if on == "torso" else ():
+        table[joint] = table[joint].where(table["target"] == joint.partition("_")[0])
+    path = cells.write(
+        tmp_path, two_arms.urdf(), {"base": "torso", "tip": "left_hand"}, {"touch": table},
+        measurements={"kind": "plane", "file": "touch.csv", "noise": {"distance": cells.SIGMA}},
+        instruments={
+            "planes": {"plate": {"on": on, "normal": [0, 0, 1], "offset": 0.08}},
+            "targets": {name: {"on": f"{name}_hand", "xyz": own.tolist()} for name, own in fingers.items()},
+        },
+    )  # fmt: skip
+    found = aridcal.calibrate(path)
+    at_the_noise(found, "distance")
+    assert noticed(found, "right_j1 (limb to right_hand)", "left_j1 (limb to left_hand)")
