@@ -15,7 +15,7 @@ from aridcal.effects.effect import ROW_ORDER
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_appearance, first_alike
 from aridcal.instruments.channels import Channels, columns, spread
-from aridcal.instruments.pose import POSE, POSITION, pose_numbers
+from aridcal.instruments.pose import kind_of_places, pose_numbers
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.robot.chain import JointKind, Route
 
@@ -337,7 +337,7 @@ def dataset(
         stale: See :class:`Dataset`; default: none.
         test: Held-out rows, shape (N,); default: none.
     """
-    n, kind = len(readings), POSITION if rotation is None else POSE
+    n, kind = len(readings), kind_of_places(rotation)
     stated = tuple(sigma)[: len(kind.channels)] or (None,) * len(kind.channels)
     nothing = np.zeros(n, dtype=bool)
     made = Dataset(
@@ -369,7 +369,7 @@ def dataset(
 
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
-    kind, n = POSITION if rotation is None else POSE, len(data)
+    kind, n = kind_of_places(rotation), len(data)
     stated = (*data.sigma, *(None,) * len(kind.channels))[: len(kind.channels)]
     return replace(
         data,

@@ -196,3 +196,8 @@ POSE = Kind(
     turns=True,
     placed=_placed,
 )
+
+
+def kind_of_places(rotation: np.ndarray | None) -> Kind:
+    """The kind of rows that a tracker gives positions of, and rotations (N, 3, 3) if there are any."""
+    return POSITION if rotation is None else POSE
