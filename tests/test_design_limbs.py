@@ -152,7 +152,6 @@ def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tm
 @pytest.mark.parametrize(
     ("way", "out", "why"),
     [
-        ("joined", "plan.csv", "configurations for `kind: joined` cannot be planned"),
         ("camera", "plan.csv", "what an image shows of several limbs (`kind: pixels`) is not planned"),
         (
             "tracker",
@@ -168,6 +167,35 @@ def test_what_is_not_planned_is_refused(
     assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / out)]) == 2
     assert why in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / out).exists()
+
+
+def test_both_hands_hold_the_body_in_planned_postures_as_in_the_last_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the real robot, by Pinocchio, would have the hands to each other: as near as the calibration so far knows it."""
+    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 120), diagnosis={"enabled": False})
+    assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "left_hand and right_hand hold the body as in the last row, grasp 7: it must not be let go since" in said
+    plan, measured = pd.read_csv(tmp_path / "plan.csv"), pd.read_csv(tmp_path / "joined.csv")
+    assert set(plan["grasp"]) == {"grasp 7"}
+    held = ROBOT.seen(
+        measured.loc[measured["grasp"] == "grasp 7", ROBOT.joints].to_numpy()[:1], "left_hand", "right_hand"
+    )
+    planned = plan.reindex(columns=ROBOT.joints, fill_value=0.0).to_numpy()
+    off = [pin.log6(held[0].actInv(T)).vector for T in ROBOT.seen(planned, "left_hand", "right_hand")]
+    nominal = two_arms.Machine(NOMINAL, shoulders=())
+    unlike = [pin.log6(held[0].actInv(T)).vector for T in nominal.seen(planned, "left_hand", "right_hand")]
+    assert np.abs(off).max() < 1e-3 < 3e-3 < np.abs(unlike).max()
+    assert np.ptp(planned[:, :12], axis=0).max() > 1.0  # postures that differ
+
+
+def test_a_body_that_was_never_held_is_not_planned_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 24))
+    (tmp_path / "joined.csv").unlink()
+    assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / "plan.csv")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "move both arms with it to a few postures, record them, and plan more rows of that grasp" in said
 
 
 def test_a_plan_says_which_finger_touches_the_table_and_that_finger_is_there(tmp_path: Path) -> None:

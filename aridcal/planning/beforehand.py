@@ -33,14 +33,20 @@ from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
-PLANNED = tuple(name for name, kind in KINDS.items() if not (kind.of_head or kind.joins))
+PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
-these are found in the image: that is known of images only. Where hands that hold one body can be, that body says alone."""
+these are found in the image: that is known of images only."""
 
 ANGLES_ALONE = (
     "inclinations tell nothing of lengths: the sigma is what is left of angles, the arm's lengths as in the URDF"
 )
 """What the sigma of the target does not hold where directions of gravity are measured."""
+
+HELD = (
+    "planned are postures in which {} and {} hold the body as in the last row, {}: it must not be let go since; taken anew, it "
+    "needs a few rows under another label first"
+)
+"""Of two links that hold one body: only as it was held is it known where these can be."""
 
 WHERE = {
     "point": "points: points.csv",
@@ -120,11 +126,6 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
     """
     kind = campaign.measurements.kind
-    if KINDS[kind].joins:
-        raise CampaignError(
-            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned: nothing says how the body "
-            f"lies in the hands that hold it. Plan rows of another block, listed first, of {listed(PLANNED)}"
-        )
     if kind not in PLANNED:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
@@ -151,6 +152,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         raise CampaignError(
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
+        )
+    if KINDS[kind].joins:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
+            "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
         )
     found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
     return replace(found, notices=(*remarks, *found.notices))
@@ -188,6 +194,9 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
     if rows.station is not None and labels:
         notices.append(f"planned are rows at the station of the last row, {rows.station[rows.as_read[-1]]}")
+    patterns = _patterns(rows)
+    if campaign.measurements.links is not None:
+        notices.append(HELD.format(*campaign.measurements.links, patterns.refers[0, 0]))
     return Beforehand(
         campaign=campaign,
         robot=robot,
@@ -197,7 +206,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         sigma=fit.sigma,
         rows=rows.fitted,
         weight=fit.weight,
-        patterns=_patterns(rows),
+        patterns=patterns,
         bodies=bodies,
         side=_side(campaign, robot, rows.readings),
         notices=(*notices, *bodies.unread, *_unshaped(robot, bodies)),
@@ -220,8 +229,11 @@ def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
 
 
 def _patterns(rows: Dataset) -> Dataset:
-    """One row for everything that rows of the first block refer to, at the station of the last row."""
+    """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
     own = rows.block == 0 if rows.blocks else np.ones(len(rows), dtype=bool)
+    if rows.blocks and rows.blocks[0].traits.joins:
+        in_order = rows.as_read[own[rows.as_read]]
+        own &= rows.refers[:, 0] == rows.refers[in_order[-1], 0]
     if rows.station is not None:
         own &= rows.station == rows.station[rows.as_read[-1]]
     told = np.full((len(rows), 1), "") if rows.target is None else rows.target[:, None].astype(str)

@@ -256,7 +256,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
     """Readings with which the target is where a measurement of one pattern needs it, shape (count, columns)."""
     rows = known.patterns
     kind = known.campaign.measurements.traits
-    if not (kind.touches or kind.gauges):
+    if not (kind.touches or kind.gauges or kind.joins):
         return draw_readings(known.robot, count, rng, off_the_limits)
     role = kind.roles[0].name
     things = known.model.instruments.things[role]
@@ -264,6 +264,8 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
     state: np.ndarray = known.model.states.get(role, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        if kind.joins:
+            return kind.residual(R, p, np.zeros((len(p), 0)), [np.tile(state, (len(p), 1))])
         return p - state if kind.touches else p @ state[:3, None] - state[3]
 
     advice = f"move {role} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
