@@ -20,7 +20,7 @@ from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.instruments.catalogue import KINDS, labelled
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
@@ -131,11 +131,6 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
             f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
-        )
-    if robot.others and len(labelled(kind)) > 1:
-        raise CampaignError(
-            f"{campaign.path}: measurements.kind: what an image shows of several limbs (`kind: {kind}`) is not planned: plan "
-            "rows of another block, listed first, or one limb in a campaign of its own, with things on the tip and in the world"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
@@ -331,11 +326,9 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
     if not robot.others:
         return []
     settings = campaign.measurements
-    return (
-        [settings.target or TIP]
-        if settings.target or not campaign.instruments.targets
-        else list(campaign.instruments.targets)
-    )
+    if settings.traits.bare or settings.target or not campaign.instruments.targets:
+        return [settings.target or TIP]
+    return list(campaign.instruments.targets)
 
 
 def _referred(campaign: Campaign, known: Known) -> np.ndarray:
