@@ -128,7 +128,7 @@ def true_model(simulation: Simulation) -> SolvedModel:
     named = named_constants(robot, simulation.parameters, simulation.scenario.path)
     coefficients = (*named, *(c for cause in causes for c in cause.effect.coefficients))
     theta = np.concatenate([list(simulation.parameters.values()), *(cause.values for cause in causes)])
-    around = surroundings(simulation.scenario, frames, simulation.measurements)
+    around = surroundings(simulation.scenario, frames, simulation.measurements.columns.tolist())
     model = Model(robot, coefficients, ((None, frames["world_base"]),), ((None, frames["tip_target"]),), around)
     return SolvedModel(model, theta, np.zeros((len(theta), len(theta))))
 

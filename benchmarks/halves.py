@@ -139,7 +139,7 @@ def spoilt(kind: str, effect_kind: str, seed: int) -> tuple[float, float]:
         "payload": rng.choice([0.0, 5.0], n),
     }
     rows = with_directions(replace(truth.measured, covariates=columns))
-    around = Surroundings(np.array([0.0, 0.0, -9.81]), np.zeros(3), True)
+    around = Surroundings(loaded=True)
     seen, _ = look(Model(robot, (), around=around), rows)
     size, moved = 6 if kind == "pose" else 3, np.zeros(0)
     choice = candidates(seen, (effect_kind,))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import pytest
 import tree_robot
 import trees
 import two_arms
+import yaml
 from test_trees import readings
 from tree_ways import WAYS
 
@@ -152,8 +155,6 @@ def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tm
 @pytest.mark.parametrize(
     ("way", "out", "why"),
     [
-        ("joined", "plan.csv", "configurations for `kind: joined` cannot be planned"),
-        ("camera", "plan.csv", "what an image shows of several limbs (`kind: pixels`) is not planned"),
         (
             "tracker",
             "plan.script",
@@ -168,6 +169,90 @@ def test_what_is_not_planned_is_refused(
     assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / out)]) == 2
     assert why in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / out).exists()
+
+
+def in_the_image(plan: pd.DataFrame, box: dict[str, list[float]]) -> list[list[int]]:
+    """How many markers of either hand the nominal camera sees past a box, in each planned row."""
+    count, way = [], np.linspace(0.0, 1.0, 200)[:, None]
+    for _, at in placed(plan, NOMINAL):
+        eye, row = at["camera"], []
+        for side, own in (("left", two_arms.LEFT), ("right", two_arms.RIGHT)):
+            marks = own + np.array([[0, 0, 0], [0.04, 0, 0], [0, 0.04, 0], [0, 0, 0.04]])
+            ends = [at[f"{side}_hand"].act(mark) for mark in marks]
+            seen = np.array([eye.actInv(end) for end in ends])
+            u, v = (
+                two_arms.LENS[f] * seen[:, k] / seen[:, 2] + two_arms.LENS[c]
+                for k, f, c in ((0, "fx", "cx"), (1, "fy", "cy"))
+            )
+            good = (seen[:, 2] > 0) & (u > 0) & (u < 640) & (v > 0) & (v < 480)
+            for k, end in enumerate(ends):
+                line = eye.translation + way * (end - eye.translation)
+                good[k] &= not ((line > np.array(box["min"])) & (line < np.array(box["max"]))).all(axis=1).any()
+            row.append(int(good.sum()))
+        count.append(row)
+    return count
+
+
+def test_planned_images_show_a_whole_hand_past_a_box(tmp_path: Path) -> None:
+    """From nothing: by Pinocchio's nominal robot, the camera on the head sees four markers of one hand, no box before them."""
+    nowhere, box = {"min": [9.0, 9.0, 9.0], "max": [9.1, 9.1, 9.1]}, {"min": [0.2, -0.4, 0.4], "max": [0.5, 0.0, 0.6]}
+    for keep_out in ([], [box]):
+        folder = tmp_path / str(len(keep_out))
+        path = two_arms.write(folder, ROBOT, ("camera",), readings(ROBOT, 40), design={"keep_out": keep_out})
+        (folder / "camera.csv").unlink()
+        document = yaml.safe_load(path.read_text())
+        at = {"xyz": [0.0, 0.0, 0.0], "rpy": [0.0, 0.0, 0.0]}
+        document["instruments"]["cameras"]["eye"] |= at
+        document["instruments"]["markers"] = [board | {**at} for board in document["instruments"]["markers"]]
+        path.write_text(yaml.safe_dump(json.loads(json.dumps(document)) | {"diagnosis": {"enabled": False}}))
+        assert aridcal.design.main([str(path), "-n", "12", "-o", str(folder / "plan.csv")]) == 0
+        plan = pd.read_csv(folder / "plan.csv")
+        seen = np.array(in_the_image(plan, box if keep_out else nowhere))
+        assert (seen.max(axis=1) == 4).all() and (seen == 4).any(axis=0).all()  # of both hands, if not in one image
+        if not keep_out:
+            assert (np.array(in_the_image(plan, box)).max(axis=1) < 4).any()  # chance would have the box before them
+
+
+def test_images_are_planned_beside_those_that_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = two_arms.write(tmp_path, ROBOT, ("camera",), readings(ROBOT, 240), diagnosis={"enabled": False})
+    assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
+    said = capsys.readouterr().out
+    (random,) = re.findall(r"RMS of as many random configurations, mm: ([\d.]+)", said)
+    (chosen,) = re.findall(r"6 │ +([\d.]+)", said)
+    assert float(chosen) < 0.8 * float(random)
+    plan = pd.read_csv(tmp_path / "plan.csv")
+    assert set(plan["camera"]) == {"eye"} and set(ROBOT.joints) <= set(plan)
+    # joints of the built robot are 1 mm off: markers near the image's border may leave it
+    assert (np.array(in_the_image(plan, {"min": [9.0] * 3, "max": [9.1] * 3})).max(axis=1) >= 3).all()
+
+
+def test_both_hands_hold_the_body_in_planned_postures_as_in_the_last_row(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where the real robot, by Pinocchio, would have the hands to each other: as near as the calibration so far knows it."""
+    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 120), diagnosis={"enabled": False})
+    assert aridcal.design.main([str(path), "-n", "6", "-o", str(tmp_path / "plan.csv")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "left_hand and right_hand hold the body as in the last row, grasp 7: it must not be let go since" in said
+    plan, measured = pd.read_csv(tmp_path / "plan.csv"), pd.read_csv(tmp_path / "joined.csv")
+    assert set(plan["grasp"]) == {"grasp 7"}
+    held = ROBOT.seen(
+        measured.loc[measured["grasp"] == "grasp 7", ROBOT.joints].to_numpy()[:1], "left_hand", "right_hand"
+    )
+    planned = plan.reindex(columns=ROBOT.joints, fill_value=0.0).to_numpy()
+    off = [pin.log6(held[0].actInv(T)).vector for T in ROBOT.seen(planned, "left_hand", "right_hand")]
+    nominal = two_arms.Machine(NOMINAL, shoulders=())
+    unlike = [pin.log6(held[0].actInv(T)).vector for T in nominal.seen(planned, "left_hand", "right_hand")]
+    assert np.abs(off).max() < 1e-3 < 3e-3 < np.abs(unlike).max()
+    assert np.ptp(planned[:, :12], axis=0).max() > 1.0  # postures that differ
+
+
+def test_a_body_that_was_never_held_is_not_planned_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = two_arms.write(tmp_path, ROBOT, ("joined",), readings(ROBOT, 24))
+    (tmp_path / "joined.csv").unlink()
+    assert aridcal.design.main([str(path), "-n", "5", "-o", str(tmp_path / "plan.csv")]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "move both arms with it to a few postures, record them, and plan more rows of that grasp" in said
 
 
 def test_a_plan_says_which_finger_touches_the_table_and_that_finger_is_there(tmp_path: Path) -> None:

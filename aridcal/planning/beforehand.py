@@ -20,7 +20,7 @@ from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.instruments.catalogue import KINDS, labelled
+from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.setup import Block, Instruments
 from aridcal.model.model import SIZES, Model
 from aridcal.model.reaching import draw_readings
@@ -32,14 +32,20 @@ from aridcal.robot.kinematics import tip_frames
 from aridcal.search.arm import fit_arm, fit_constants, surroundings
 from aridcal.showing import SILENT, Progress
 
-PLANNED = tuple(name for name, kind in KINDS.items() if not (kind.of_head or kind.joins))
+PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
-these are found in the image: that is known of images only. Where hands that hold one body can be, that body says alone."""
+these are found in the image: that is known of images only."""
 
 ANGLES_ALONE = (
     "inclinations tell nothing of lengths: the sigma is what is left of angles, the arm's lengths as in the URDF"
 )
 """What the sigma of the target does not hold where directions of gravity are measured."""
+
+HELD = (
+    "planned are postures in which {} and {} hold the body as in the last row, {}: it must not be let go since; taken anew, it "
+    "needs a few rows under another label first"
+)
+"""Of two links that hold one body: only as it was held is it known where these can be."""
 
 WHERE = {
     "point": "points: points.csv",
@@ -119,21 +125,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
     """
     kind = campaign.measurements.kind
-    if KINDS[kind].joins:
-        raise CampaignError(
-            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned: nothing says how the body "
-            f"lies in the hands that hold it. Plan rows of another block, listed first, of {listed(PLANNED)}"
-        )
     if kind not in PLANNED:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
             f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
-        )
-    if robot.others and len(labelled(kind)) > 1:
-        raise CampaignError(
-            f"{campaign.path}: measurements.kind: what an image shows of several limbs (`kind: {kind}`) is not planned: plan "
-            "rows of another block, listed first, or one limb in a campaign of its own, with things on the tip and in the world"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
@@ -150,6 +146,11 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         raise CampaignError(
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
+        )
+    if KINDS[kind].joins:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
+            "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
         )
     found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
     return replace(found, notices=(*remarks, *found.notices))
@@ -187,6 +188,9 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
     if rows.station is not None and labels:
         notices.append(f"planned are rows at the station of the last row, {rows.station[rows.as_read[-1]]}")
+    patterns = _patterns(rows)
+    if campaign.measurements.links is not None:
+        notices.append(HELD.format(*campaign.measurements.links, patterns.refers[0, 0]))
     return Beforehand(
         campaign=campaign,
         robot=robot,
@@ -196,7 +200,7 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         sigma=fit.sigma,
         rows=rows.fitted,
         weight=fit.weight,
-        patterns=_patterns(rows),
+        patterns=patterns,
         bodies=bodies,
         side=_side(campaign, robot, rows.readings),
         notices=(*notices, *bodies.unread, *_unshaped(robot, bodies)),
@@ -219,8 +223,11 @@ def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
 
 
 def _patterns(rows: Dataset) -> Dataset:
-    """One row for everything that rows of the first block refer to, at the station of the last row."""
+    """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
     own = rows.block == 0
+    if rows.blocks[0].traits.joins:
+        in_order = rows.as_read[own[rows.as_read]]
+        own &= rows.refers[:, 0] == rows.refers[in_order[-1], 0]
     if rows.station is not None:
         own &= rows.station == rows.station[rows.as_read[-1]]
     told = np.full((len(rows), 1), "") if rows.target is None else rows.target[:, None].astype(str)
@@ -312,11 +319,9 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
     if not robot.others:
         return []
     settings = campaign.measurements
-    return (
-        [settings.target or TIP]
-        if settings.target or not campaign.instruments.targets
-        else list(campaign.instruments.targets)
-    )
+    if settings.traits.bare or settings.target or not campaign.instruments.targets:
+        return [settings.target or TIP]
+    return list(campaign.instruments.targets)
 
 
 def _referred(campaign: Campaign, known: Known) -> np.ndarray:

@@ -233,7 +233,7 @@ def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: n
     for _ in range(ROUNDS):
         readings = _drawn(known, int(own[0]), drawn, rng)
         seen = _seen(known, readings, own)
-        good = seen.sum(axis=1) >= min(FEWEST, len(own))
+        good = _enough(known, seen, own)
         for holds in (allowed, in_sight):
             good[good] = holds(known, readings[good], np.full(int(good.sum()), own[0]))
         found.append(readings[good])
@@ -256,7 +256,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
     """Readings with which the target is where a measurement of one pattern needs it, shape (count, columns)."""
     rows = known.patterns
     kind = known.campaign.measurements.traits
-    if not (kind.touches or kind.gauges):
+    if not (kind.touches or kind.gauges or kind.joins):
         return draw_readings(known.robot, count, rng, off_the_limits)
     role = kind.roles[0].name
     things = known.model.instruments.things[role]
@@ -264,6 +264,8 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
     state: np.ndarray = known.model.states.get(role, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        if kind.joins:
+            return kind.residual(R, p, np.zeros((len(p), 0)), [np.tile(state, (len(p), 1))])
         return p - state if kind.touches else p @ state[:3, None] - state[3]
 
     advice = f"move {role} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
@@ -292,27 +294,45 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
         np.tile(asked.states[role.name][refers[:, k]], (n, 1))
         for k, role in enumerate(known.campaign.measurements.traits.roles)
     ]
-    R, p = (np.repeat(each, m, axis=0) for each in targets_of(known, readings, np.full(n, own[0])))
+    turns, places = np.empty((n, m, 3, 3)), np.empty((n, m, 3))
+    for some, _ in _by_route(known, own):  # markers of one path see the camera alike
+        seen_from = targets_of(known, readings, np.full(n, own[some][0]))
+        turns[:, some], places[:, some] = (each[:, None] for each in seen_from)
+    R, p = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
     camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)
     seen = in_image(R, p, states, size)
     if known.campaign.instruments.boards:
         seen &= faces(R, p, states[0], states[1])
-    few = seen.reshape(n, m).sum(axis=1) < min(FEWEST, m)
+    few = ~_enough(known, seen.reshape(n, m), own)
     some = np.flatnonzero(seen & ~np.repeat(few, m))
     if len(some):
-        camera_at, marker_at = ends_of_sight(R[some], p[some], [state[some] for state in states])
-        starts, ends = (_to_base(known, own[0], at) for at in (camera_at, marker_at))
+        at_sight = ends_of_sight(R[some], p[some], [state[some] for state in states])
+        rows = np.repeat(readings, m, axis=0)[some]
+        starts, ends = (_to_base(known, np.tile(own, n)[some], rows, at) for at in at_sight)
         short = STUB / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * STUB)[:, None]
         starts, ends = starts + short * (ends - starts), ends + short * (starts - ends)
         boxes = known.boxes
-        seen[some] = unobstructed(known.robot, boxes, known.bodies, np.repeat(readings, m, axis=0)[some], starts, ends)
+        seen[some] = unobstructed(known.robot, boxes, known.bodies, rows, starts, ends)
     return seen.reshape(n, m)
 
 
-def _to_base(known: Beforehand, pattern: int, at: np.ndarray) -> np.ndarray:
-    """Places in the world as the base of a pattern's station has them, shape (n, 3), [m]."""
-    made = known.patterns.select(np.array([pattern]))
-    world = rows_of_data(known.model, made).world[0]
+def _enough(known: Beforehand, seen: np.ndarray, own: np.ndarray) -> np.ndarray:
+    """True of images that show enough of what one link carries, shape (n,), from which markers each shows, (n, patterns)."""
+    good = np.zeros(len(seen), dtype=bool)
+    for some, _ in _by_route(known, own):
+        good |= seen[:, some].sum(axis=1) >= min(FEWEST, len(own[some]))
+    return good
+
+
+def _to_base(known: Beforehand, pattern: np.ndarray, readings: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Places where paths start, in the world or on links, as the base has them, shape (n, 3), [m]; see :func:`rows_like`."""
+    world = rows_of_data(known.model, known.patterns.select(pattern[:1])).world[0]
     frame = known.model.frames(known.theta)[0][world][1]
-    return np.asarray((at - frame.translation) @ frame.rotation)
+    found = np.asarray((at - frame.translation) @ frame.rotation)
+    for some, route in _by_route(known, pattern):
+        if route.start is not None:
+            limb = known.robot.between(None, route.start)
+            axes, origin = tip_frames(limb, readings[some][:, known.robot.columns_of(limb)])
+            found[some] = origin + np.einsum("nij,nj->ni", axes, at[some])
+    return found

@@ -21,7 +21,7 @@ from aridcal.planning.refine import Refined, refined
 from aridcal.planning.region import region_readings
 from aridcal.planning.rivals import Duel, telling_apart
 from aridcal.planning.suspects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
-from aridcal.planning.telling import Told, rows_of, target_columns, told
+from aridcal.planning.telling import Told, in_line, rows_of, target_columns, told
 from aridcal.planning.travel import short_order
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
@@ -153,7 +153,7 @@ def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan
     random = [
         rms_sigma(choice, choice.information(chance.permutation(len(choice.rows))[: asked.n])) for _ in range(RANDOM)
     ]
-    more = replace(choice, rows=np.concatenate([rows, choice.rows]))
+    more = replace(choice, rows=in_line(rows, choice.rows))
     order = nested(more, range(asked.n), min(2 * asked.n, len(more.rows)))
     counts = {asked.n // 4, asked.n // 2, asked.n, len(order)} - {0}
     counts |= {0} if len(known.rows) else set()

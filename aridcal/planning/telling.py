@@ -158,6 +158,13 @@ def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     return np.asarray(s[:, :rank, None] * Vt[:, :rank])
 
 
+def in_line(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """What two sets of candidates tell, (C, p, D) and (E, q, D), one after the other; the shorter with rows of nothing."""
+    depth = max(first.shape[1], second.shape[1])
+    deep = [np.pad(rows, ((0, 0), (0, depth - rows.shape[1]), (0, 0))) for rows in (first, second)]
+    return np.concatenate(deep)
+
+
 def target_columns(
     known: Beforehand, of: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
 ) -> np.ndarray:
