@@ -75,7 +75,7 @@ barely identifiable the way to the optimum is narrow and bent, and damping would
 
 SLACK = 0.5
 """Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
-nearly (see :func:`aridcal.fit.problem.agreeing`)."""
+nearly (see :meth:`aridcal.model.measured.Measured.agreeing`)."""
 
 VANISHED = 1e-2
 """Sigmas of a coefficient: a gradient that asks for less has vanished."""

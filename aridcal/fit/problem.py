@@ -20,7 +20,7 @@ from aridcal.instruments.channels import Channels
 from aridcal.instruments.setup import Instruments
 from aridcal.model.local import Local
 from aridcal.model.many_rows import BLOCK, blocks
-from aridcal.model.measured import Measured, States, measured
+from aridcal.model.measured import Measured, States, measured, rows_at
 from aridcal.model.model import Model, Rows
 from aridcal.showing import SILENT, Progress
 
@@ -169,12 +169,18 @@ class Problem:
     def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
         """The same with the groups' unknowns moved, shape (G, U), and differentiated at positions (N, joints) if given."""
         states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
-        agreed = self.measured.agreed if agreed is None else agreed
-        return replace(self, measured=replace(self.measured, states=states, agreed=agreed))
+        seen = replace(self.measured, states=states)
+        if agreed is not None:
+            seen = replace(seen, agreed=self._rows_at(agreed) if seen.wide is not None else seen.rows)
+        return replace(self, measured=seen)
+
+    def _rows_at(self, positions: np.ndarray) -> Rows:
+        """The rows at other joint positions, shape (N, joints)."""
+        return rows_at(self.measured, self.data, positions)
 
     def agreeing(self, theta: np.ndarray) -> Problem:
         """The same, differentiated where measurements and model agree; see :meth:`Measured.agreeing`."""
-        return replace(self, measured=self.measured.agreeing(theta))
+        return replace(self, measured=self.measured.agreeing(theta, self._rows_at))
 
 
 def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:

@@ -105,8 +105,9 @@ class Measured:
         width: Numbers m of a row.
         states: Where the things are.
         wide: Where rows say that a condition holds, the model with each joint's own motion behind its coefficients; else None.
-        agreed: Joint positions at which the measurements agree with the model, shape (N, joints): there the rows are
-            differentiated. None: at the readings themselves.
+        agreed: The rows where the measurements agree with the model, joints and bases: there they are differentiated, both
+            alike, for a motion that bases undo would else seem to act by as much as readings were moved. None: at the
+            readings themselves.
     """
 
     model: Model
@@ -121,7 +122,7 @@ class Measured:
     width: int
     states: States
     wide: Model | None = None
-    agreed: np.ndarray | None = None
+    agreed: Rows | None = None
 
     def __len__(self) -> int:
         return len(self.block)
@@ -142,10 +143,15 @@ class Measured:
         varying = [k for k, c in enumerate(own) if not c.basis.constant]
         columns = [varying.index(k) for k in kept if k in set(varying)]
         model = self.model.with_coefficients([own[k] for k in kept])
+
+        def of_kept(rows: Rows) -> Rows:
+            return replace(rows, phi=rows.phi.T[columns].T)
+
         return replace(
             self,
             model=model,
-            rows=replace(self.rows, phi=self.rows.phi.T[columns].T),
+            rows=of_kept(self.rows),
+            agreed=None if self.agreed is None else of_kept(self.agreed),
             moved=_moved(model),
             wide=None if self.wide is None else model.with_motions(model.own_motions),
         )
@@ -251,21 +257,26 @@ class Measured:
             J[:, :, c.index] = column
         return Sight(np.nan_to_num(left), J, slopes.by_thing, at)
 
-    def agreeing(self, theta: np.ndarray) -> Measured:
+    def agreeing(self, theta: np.ndarray, rows_at: Callable[[np.ndarray], Rows]) -> Measured:
         """The same with its rows differentiated where measurements and model agree: readings moved as little as possible.
 
         What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known)
         turns or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero.
         These are the derivatives of the Gauss-Helmert model (Helmert 1872): readings were observed, and a measurement is a
         condition on them.
+
+        Args:
+            theta: Values of the model's coefficients.
+            rows_at: The rows at other joint positions, shape (N, joints); see :func:`rows_at`.
         """
         if not self.conditions.any():
-            return replace(self, agreed=self.rows.positions)
-        here, before = self, self.rows.positions if self.agreed is None else self.agreed
+            return replace(self, agreed=self.rows)
+        here, before = self, (self.agreed or self.rows).positions
         for _ in range(AGREEING):
             known = here.settled(theta)
             nearer = np.concatenate([known[part].where_they_agree(theta)[2] for part in blocks(len(self))])
-            here, step, before = replace(here, agreed=nearer), np.abs(nearer - before).max(initial=0.0), nearer
+            step, before = np.abs(nearer - before).max(initial=0.0), nearer
+            here = replace(here, agreed=rows_at(nearer))
             if step < ENOUGH:
                 break
         return here
@@ -273,17 +284,16 @@ class Measured:
     def where_they_agree(self, theta: np.ndarray) -> tuple[Slopes, np.ndarray, np.ndarray]:
         """How rows change there, columns of the coefficients (n, m, K), and positions nearer to it (n, joints)."""
         assert self.wide is not None
-        readings, count = self.rows.positions, len(theta)
-        at = readings if self.agreed is None else self.agreed
+        readings, at, count = self.rows.positions, self.agreed or self.rows, len(theta)
         beyond = np.zeros(len(self.wide.coefficients) - count)
         always = np.ones((len(beyond), len(self)))
-        rows = replace(self.rows, positions=at, phi=np.vstack([self.rows.phi.T, always]).T)
+        rows = replace(at, phi=np.vstack([at.phi.T, always]).T)
         R, p, J = self.wide.jacobian(np.concatenate([theta, beyond]), rows)
         slopes = self.slopes(R, p, theta)
         J = slopes.by_twist @ J
         own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
         # The shortest way from the readings: what is left here, and what has been gone already.
-        asked = seen + np.einsum("nmj,nj->nm", own, at - readings)
+        asked = seen + np.einsum("nmj,nj->nm", own, at.positions - readings)
         back = own.transpose(0, 2, 1)
         square = own @ back
         # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
@@ -389,6 +399,18 @@ def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None
     route = None if len(model.routes) == 1 else number[np.zeros(len(data), int) if data.route is None else data.route]
     at = data.readings if readings is None else readings
     return model.rows(at, data.conditions, data.station, data.target, route)
+
+
+def rows_at(seen: Measured, data: Dataset, positions: np.ndarray) -> Rows:
+    """The rows of a data set with their joints, and all that depends on them, at other positions, shape (N, joints)."""
+    return replace(rows_of_data(seen.model, data, readings_at(seen, data, positions)), positions=positions)
+
+
+def readings_at(seen: Measured, data: Dataset, positions: np.ndarray) -> np.ndarray:
+    """What joints would have read at other positions, shape (N, joints): shape (N, columns)."""
+    robot = seen.model.robot
+    own = [robot.names.index(name) for name in robot.readings]
+    return np.asarray(data.readings + (positions - seen.rows.positions)[:, own])
 
 
 def measured(model: Model, data: Dataset) -> Measured:

@@ -17,7 +17,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.model.measured import rows_of_data
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
-from aridcal.search.diagnose import look
+from aridcal.search.covariates import look
 
 USUAL = {
     "joint_harmonic": 5.0e-4,

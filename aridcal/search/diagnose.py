@@ -8,11 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from aridcal.effects.catalogue import KINDS, Barred, barred_joints, candidates, declared, usable_columns
-from aridcal.effects.effect import ROW_ORDER, Effect
+from aridcal.effects.catalogue import KINDS, Barred, candidates, declared
+from aridcal.effects.effect import Effect
 from aridcal.effects.kinds import Observed
-from aridcal.effects.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
-from aridcal.effects.loads import covariate_table
 from aridcal.effects.place_scatter import is_scatter
 from aridcal.effects.smooth import Kernel
 from aridcal.effects.unknown_kind import pair
@@ -22,9 +20,8 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.measured import rows_of_data
-from aridcal.model.model import Model
-from aridcal.model.standing import references
 from aridcal.search.confounded import twins
+from aridcal.search.covariates import look
 from aridcal.search.exact import (
     FEWEST_PLACES,
     Start,
@@ -435,40 +432,3 @@ def _best_rival(start: Start, place: Place, named: Sequence[Effect], state: Stat
         if best is None or value > best[0]:
             best = value, fitted, trial
     return None if best is None else best[1:]
-
-
-def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
-    """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
-    derived = {name: rows.covariates[name] for name in rows.derived}
-    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
-    frames = rows_of_data(model, rows)
-    measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
-    for mass in model.around.masses:
-        payload = rows.covariates.get(mass)
-        if payload is not None and not np.isnan(payload).any():
-            measured[mass] = payload  # it counts in the loads even where it is always the same
-    table = covariate_table(
-        model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
-    )
-    gravity = np.atleast_2d(model.around.gravity)[0]
-    table |= model.sight_columns(rows.readings, gravity, frames.tip, frames.route)
-    # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
-    table |= {name: derived[name] for name in usable_columns(derived)[0]}
-    labels = [label_column(label) for label in labels_in(rows.station)]
-    if len(labels) > MOST_LABELS:
-        barred.append(
-            Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
-        )
-        labels = []
-    table |= label_columns(labels, rows.station)
-    observed = Observed(
-        robot=model.robot,
-        table=table,
-        measured=tuple(usable),
-        orientations=rows.sees_turns,
-        held=model.instruments.held,
-        referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
-        labels=tuple(labels),
-        masses=model.around.masses,
-    )
-    return observed, barred + barred_joints(observed)

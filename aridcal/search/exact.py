@@ -21,7 +21,9 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import taking_off, triangle
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together, repeated
+from aridcal.model.measured import readings_at
 from aridcal.model.model import Model
+from aridcal.search.covariates import look
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
@@ -202,8 +204,8 @@ def linear_model(
     own = current.model.coefficients
     model = current.model.with_motions(slots)
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
-    asked = problem(model, start.train)
-    r, J = asked.agreeing(theta).linearised(theta)
+    asked = problem(model, start.train).agreeing(theta)
+    r, J = asked.linearised(theta)
     off = taking_off(asked, theta, current.weight, current.sigma)
     constant = np.flatnonzero([c.basis.constant for c in own])
     A = J[:, :, : len(own)]
@@ -215,7 +217,7 @@ def linear_model(
     r = r + A @ (current.theta - geometric)
     if start.train.share != 1.0:
         r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
-    in_places = any(is_scatter(a.effect) for a in active)
+    in_places, table = any(is_scatter(a.effect) for a in active), _table(start, asked, observed)
     together = (held_together if in_places else repeated)(start.train)
     run, fold = _folds(start.train, together)
     of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
@@ -225,7 +227,7 @@ def linear_model(
         gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(own) :]),
         slots=slots,
-        phi=np.asfortranarray(evaluated(bases, {**observed.table, **of_places}) if bases else np.zeros((len(r), 0))),
+        phi=np.asfortranarray(evaluated(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
         bases=bases,
         r=r,
         limit=start.limit,
@@ -238,7 +240,7 @@ def linear_model(
         taken=asked.taken(current.weight),
         share=start.train.share,
         own=observed.robot.names,
-        table=observed.table,
+        table=table,
     )
 
 
@@ -254,6 +256,19 @@ def _places(asked: Problem) -> np.ndarray | None:
         return None
     different, number = np.unique(asked.groups.row, return_inverse=True)
     return np.asarray(number) if len(different) >= FEWEST_PLACES else None
+
+
+def _table(start: Start, asked: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
+    """What bases depend on, shape (N,) each, where the rows are differentiated: as read, or where they agree with the model.
+
+    A motion that turns back with a joint's angle is no motion at all; asked at one angle and undone at another, it would be one
+    of the size of what the readings were moved by, which is the noise of the very row.
+    """
+    seen = asked.measured
+    if seen.wide is None or seen.agreed is None:
+        return observed.table
+    agreed = replace(start.train, readings=readings_at(seen, start.train, seen.agreed.positions))
+    return look(start.geometric.model, agreed)[0].table
 
 
 def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
