@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import gauges
 import numpy as np
@@ -22,7 +23,7 @@ from aridcal.fit.stages import fit_geometry
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.model import Model
 from aridcal.result.pipeline import identify
-from aridcal.trust.halves import DISAGREE, PATTERNS, Halves, divisions, halves
+from aridcal.trust.halves import DISAGREE, PATTERNS, Division, Halves, _sides, divisions, halves
 
 NOISE = 1e-4
 
@@ -86,6 +87,22 @@ def test_what_differs_is_what_two_fits_to_the_halves_say() -> None:
     rigid = J[:, :3, frames].reshape(240, -1)
     off -= rigid @ np.linalg.lstsq(rigid, off, rcond=None)[0]
     assert result.measured == pytest.approx(np.sqrt(np.sum(off**2) / 80), rel=2e-2)
+
+
+def test_sums_over_limbs_are_those_over_all_their_rows() -> None:
+    """Second road: rows under one another, those of the other half zero. The last two coefficients are of both limbs."""
+    rng, N, m, K = np.random.default_rng(0), 40, 3, 12
+    route = rng.integers(0, 2, N)
+    J = rng.normal(size=(N, m, K)) * np.where(np.arange(K) < 5, route[:, None] == 0, True)[:, None]
+    J *= np.where((np.arange(K) >= 5) & (np.arange(K) < 10), route[:, None] == 1, True)[:, None]
+    own, left = np.arange(K) % 4 != 0, rng.normal(size=(N * m, 7))
+    rows = SimpleNamespace(J=J, groups=None)
+    ways = [Division("j", str(k), rng.random(N) < 0.5) for k in range(3)]
+    for way, side in zip(ways, _sides(rows, ways, own, None, left, route), strict=True):  # type: ignore[arg-type]
+        A = np.where(way.side[:, None, None], J, 0.0).reshape(N * m, K)
+        np.testing.assert_allclose(side.cross, A.T @ A[:, own], atol=1e-12)
+        np.testing.assert_allclose(side.squares, A[:, own].T @ A[:, own], atol=1e-12)
+        np.testing.assert_allclose(side.pull, A[:, own].T @ left, atol=1e-12)
 
 
 def test_p_is_uniform_where_nothing_is_missing_though_the_noise_is_estimated() -> None:

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, pinvh
 
 from aridcal.fit.normal_equations import (
     Combined,
@@ -18,6 +18,7 @@ from aridcal.fit.normal_equations import (
     conditional,
     inverse,
     projected,
+    root_of_inverse,
     solve,
 )
 
@@ -212,3 +213,17 @@ def test_a_step_in_the_priors_combinations_is_that_of_the_stacked_columns_with_t
 def test_the_condition_number_is_that_of_the_columns_scaled_to_length_one() -> None:
     A = np.vstack(columns(3, 6))
     assert condition(A.T @ A) == pytest.approx(np.linalg.cond(A / np.linalg.norm(A, axis=0)), rel=1e-9)
+
+
+@pytest.mark.parametrize("weak", [1.0, 1e-3, 1e-6])
+def test_the_root_of_an_inverse_has_the_directions_that_are_told(weak: float) -> None:
+    """Second road: the pseudo-inverse of SciPy. The weakest direction is told, told barely, and not: below the share."""
+    rng = np.random.default_rng(5)
+    turned = np.linalg.qr(rng.standard_normal((5, 5)))[0]
+    M = (turned * np.array([1.0, 0.8, 0.5, 0.3, weak])) @ turned.T
+    size = np.sqrt(np.diag(M))
+    root, share = root_of_inverse(M, 1e-4), np.linalg.eigvalsh(M / size / size[:, None])
+    told = np.count_nonzero(share > 1e-4 * share[-1])
+    assert root.shape == (told, 5) and told == (4 if weak == 1e-6 else 5)
+    expected = pinvh(M / size / size[:, None], rtol=1e-4) / size / size[:, None]
+    assert root.T @ root == pytest.approx(expected, rel=1e-9)

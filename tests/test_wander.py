@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
 import robots
+import two_arms
 import yaml
 from calibrated import NOISE, machine, measured
 from scipy.linalg import null_space
+from test_trees import readings
 
 import aridcal
 from aridcal.errors import AridcalError
 from aridcal.fit.least_squares import Fit, fit_identifiable
 from aridcal.inputs.dataset import Dataset
+from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
+from aridcal.trust import wander
 from aridcal.trust.wander import PROCESSES, SHARES, Wander, wandering, wanders, zero_of
 
 SPAN = 1.5
@@ -84,6 +89,26 @@ def test_the_probabilities_are_those_of_dense_matrices() -> None:
         if key[0] == "none":
             close = [1.0 - sum(seen.values())]
         assert sum(close) == pytest.approx(value / whole, abs=0.03)  # what is rare goes; nodes are a length apart
+
+
+def test_limbs_asked_apart_tell_what_all_rows_together_tell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Second road: all rows as one part. Both arms share the tracker's frame."""
+    robot = two_arms.machine(2)
+    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 120), diagnosis={"enabled": False})
+    outcome = identify(path)
+    final, rows = outcome.stages[-1].fit, outcome.measurements.select(~outcome.outlier)
+    asked = final, rows, final.estimated, (None,) * len(final.estimated), SPAN
+    apart, divide, counted = wanders(*asked), wander._parts, []
+
+    def undivided(moved: np.ndarray, group: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        counted.append(len(divide(moved, group)))
+        return [(np.arange(len(moved)), np.flatnonzero(moved.any(axis=0)))]
+
+    monkeypatch.setattr(wander, "_parts", undivided)
+    whole = wanders(*asked)
+    assert counted == [2]
+    assert [(p.over, p.length, p.turning) for p in apart] == [(p.over, p.length, p.turning) for p in whole]
+    np.testing.assert_allclose([p.probability for p in apart], [p.probability for p in whole], rtol=1e-7)
 
 
 @pytest.mark.parametrize("over", ["own", "all"])

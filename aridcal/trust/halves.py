@@ -319,9 +319,9 @@ def _sides(
             for limb in limbs:
                 each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}
                 for cross, pull, some in zip(crosses, pulls, parts, strict=True):
-                    for c in np.flatnonzero(some).tolist():
-                        cross[np.ix_(limb.columns, limb.own)] += each[c][0]
-                        pull[limb.own] += each[c][1]
+                    chosen = [each[c] for c in np.flatnonzero(some).tolist()]
+                    cross[np.ix_(limb.columns, limb.own)] += sum(own for own, _ in chosen)
+                    pull[limb.own] += sum(own for _, own in chosen)
             sides = [_Side(cross[own], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
             made[way.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
         yield made[way.of].pop(way.side.tobytes())
