@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from robots import ur10
+from scipy.linalg import subspace_angles
 
+from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.elimination import known
 from aridcal.fit.problem import Problem, problem
@@ -155,8 +157,8 @@ def test_rows_less_their_things_are_orthogonal_to_them() -> None:
         assert block.start == 0
 
 
-def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
-    """A turn of the base about the vertical moves all points: no row tells it, however far off the rows are."""
+def touching(coefficients: tuple[Coefficient, ...]) -> Problem:
+    """Forty noisy rows of one unknown point, in a wide range of postures near one."""
     rng = np.random.default_rng(1)
     robot = ur10()
     n = 40
@@ -164,28 +166,51 @@ def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
     data = dataset(robot.readings, robot.kinds, q, np.full((n, 3), np.nan))
     refers = np.full((n, 3), "", dtype="U8")
     refers[:, 0] = "a"
-    base = Model(robot, (Coefficient("shoulder_pan_joint", "yaw"),))
-    middle = base.poses(np.zeros(1), base.rows(q))[1].mean(axis=0)
+    base = Model(robot, coefficients)
+    zero = np.zeros(len(coefficients))
+    middle = base.poses(zero, base.rows(q))[1].mean(axis=0)
     things = Things(POINT, ("a",), middle[None], np.ones((1, 3), bool), np.full((1, 3), np.inf))
     data = replace(
         data,
         blocks=(Block("points", "point", (TARGET_POSITION,), (None,)),),
-        block=np.zeros(n, int),
         observed=np.zeros((n, 0)),
         refers=refers,
         instruments=Instruments({"point": things}),
     )
-    asked = problem(replace(base, instruments=data.instruments), data)
-    one = np.ones(n)
+    return problem(replace(base, instruments=data.instruments), data)
+
+
+def test_what_no_point_tells_is_redundant_only_where_rows_agree() -> None:
+    """A turn of the base about the vertical moves all points: no row tells it, however far off the rows are."""
+    asked = touching((Coefficient("shoulder_pan_joint", "yaw"),))
+    one = np.ones(len(asked))
 
     def seen(question: Problem) -> float:
         (_, _, J) = next(eliminated(question, np.zeros(1), one, np.array([1e-4])))
         return float(np.linalg.norm(J))
 
-    at_readings = replace(asked.measured, agreed=asked.rows.positions)
-    assert seen(replace(asked, measured=at_readings)) > 1e-3
+    assert seen(replace(asked, measured=replace(asked.measured, agreed=asked.rows))) > 1e-3
     there = asked.agreeing(np.zeros(1))
     assert there.measured.agreed is not None
-    moved = replace(there.measured, rows=replace(there.rows, positions=there.measured.agreed))
+    moved = replace(there.measured, rows=there.measured.agreed)
     assert np.abs(moved.residual(np.zeros(1))).max() < 1e-9
     assert seen(there) < 1e-8
+
+
+def test_a_motion_that_turns_back_with_a_joint_is_a_fixed_one_where_rows_agree() -> None:
+    """Runout of order 1 that turns with a joint shifts the next one: two directions of both are the same, noise or not."""
+    wave = [(c, form) for c in ("t1", "t2") for form in ("sin", "cos")]
+    runout = tuple(Coefficient("elbow_joint", c, Basis(form, ("elbow_joint",), (1.0,))) for c, form in wave)
+    shift = tuple(Coefficient("wrist_1_joint", c) for c in "xyz")
+    asked = touching((*shift, *runout))
+
+    def shared(question: Problem) -> float:
+        _, J = question.linearised(np.zeros(7))
+        return float(np.sort(subspace_angles(J[:, :, :3].reshape(-1, 3), J[:, :, 3:].reshape(-1, 4)))[1])
+
+    there = asked.agreeing(np.zeros(7))
+    assert shared(there) < 1e-7
+    at = there.measured.agreed
+    assert at is not None
+    as_read = replace(at, phi=asked.rows.phi)  # bases at the readings, motions elsewhere
+    assert shared(replace(there, measured=replace(there.measured, agreed=as_read))) > 1e-4
