@@ -35,7 +35,9 @@ from tree_robot import Effect, Robot, built, urdf, with_errors
 from tree_ways import MARKS, SPOTS, WAYS, Seen, Tracker, Way
 
 from aridcal.errors import AridcalError
-from aridcal.fit.problem import problem
+from aridcal.fit.least_squares import Fit
+from aridcal.fit.problem import Problem, problem
+from aridcal.fit.residual import linearise
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 
@@ -191,19 +193,31 @@ def write(folder: Path, draw: Draw, **more: Any) -> Path:
 
 
 def exact_errors(outcome: Outcome) -> tuple[np.ndarray, float]:
-    """Residuals of the exact rows, (n, m), and the RMS of their ratio to the sigmas that the model states for them.
-
-    That ratio is NaN where rows refer to things that are solved for beside the coefficients: how the two go together is not kept.
-    """
-    final = outcome.stages[-1].fit
-    rows = outcome.measurements.select(outcome.measurements.test)
-    asked = problem(final.model, rows).agreeing(final.theta)
+    """Residuals of the exact rows, (n, m), and the RMS of their ratio to the sigmas that the model states for them."""
+    final, rows = outcome.stages[-1].fit, outcome.measurements
+    asked = problem(final.model, rows.select(rows.test)).agreeing(final.theta)
     off = asked.residual(final.theta)
-    if asked.groups is not None:
-        return off, np.nan
-    spread = asked.carried(final.theta, final.covariance, slice(0, len(rows)))
+    if asked.groups is None:
+        spread = asked.carried(final.theta, final.covariance, slice(0, len(asked)))
+    else:
+        spread = _with_things(asked, problem(final.model, rows.fitted), final)
     sigma = np.sqrt(np.maximum(np.einsum("nmm->nm", spread), 1e-30))
     return off, float(np.sqrt(np.nanmean((off / sigma) ** 2)))
+
+
+def _with_things(asked: Problem, fitted: Problem, final: Fit) -> np.ndarray:
+    r"""Covariance of rows, (n, m, m), whose things were solved for beside the coefficients.
+
+    .. math:: (J - B X) C (J - B X)^T + B H^{-1} B^T
+
+    with C that of the coefficients, X how the things follow them, and H the things' own information in the fitted rows.
+    """
+    found = linearise(fitted, final.theta, final.weight, final.sigma).groups
+    assert found is not None
+    pieces, own = asked.pieces(final.theta), asked.group_of(slice(None))
+    J = pieces.J - pieces.B @ found.X[own]
+    of_things = pieces.B @ found.inverse[own] @ pieces.B.transpose(0, 2, 1)
+    return np.asarray(J @ final.covariance @ J.transpose(0, 2, 1) + of_things)
 
 
 def trial(names: list[str], seed: int) -> dict[str, Any]:
