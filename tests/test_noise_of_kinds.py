@@ -99,7 +99,7 @@ def test_rows_are_weighed_by_what_rounded_joints_do_to_them(tmp_path: Path) -> N
     for k in range(6):
         off = step * (np.arange(6) == k)
         ends = [replace(data, readings=data.readings + sign * off) for sign in (1, -1)]
-        r = [replace(problem(fit.model, end), states=asked.states).residual(fit.theta) for end in ends]
+        r = [problem(fit.model, end).with_states(asked.states).residual(fit.theta) for end in ends]
         moved.append((r[0] - r[1]) / (2 * step))
     J = np.nan_to_num(np.stack(moved, axis=2))
     named = {c.name: c.value for c in found.further}
