@@ -106,7 +106,7 @@ def covariate_table(
     pull: np.ndarray | float = 0.0
     if all(name in measured for name in around.masses):
         pulls = [_pull(robot, walked, each, measured[each.name][:, None] * gravity) for each in around.payloads]
-        hung = np.asarray(np.sum(pulls, axis=0))
+        hung = sum(pulls[1:], start=pulls[0])
         table |= {f"{joint.name}.payload_torque": _driving(joint, hung[:, j]) for j, joint in enumerate(robot.joints)}
         pull = hung
     elif around.loaded:
