@@ -103,6 +103,7 @@ class Measured:
         instruments: All things, as they are known beforehand.
         moved: Coefficients of the model that move things.
         width: Numbers m of a row.
+        direct: True where rows measure the target's own place and nothing is between: twists of the target are what is left.
         states: Where the things are.
         wide: Where rows say that a condition holds, the model with each joint's own motion behind its coefficients; else None.
         agreed: The rows where the measurements agree with the model, joints and bases: there they are differentiated, both
@@ -120,6 +121,7 @@ class Measured:
     instruments: Instruments
     moved: tuple[Moved, ...]
     width: int
+    direct: bool
     states: States
     wide: Model | None = None
     agreed: Rows | None = None
@@ -155,11 +157,6 @@ class Measured:
             moved=_moved(model),
             wide=None if self.wide is None else model.with_motions(model.own_motions),
         )
-
-    @property
-    def direct(self) -> bool:
-        """True where a tracker without faults gives the place of the only target: twists of the target are what is left."""
-        return len(self.blocks) == 1 and self.blocks[0].traits.tracked and not self.instruments.things
 
     @property
     def absent(self) -> np.ndarray:
@@ -444,6 +441,7 @@ def measured(model: Model, data: Dataset) -> Measured:
         instruments=instruments,
         moved=_moved(model),
         width=columns(data.channels)[-1].stop,
+        direct=data.direct,
         states=states,
         wide=model.with_motions(model.own_motions) if conditional else None,
     )
