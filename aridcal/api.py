@@ -97,7 +97,7 @@ def propose(
     tables = [measurements] if isinstance(measurements, str | Path | pd.DataFrame) else list(measurements)
     places = {name: Path(place) for name, place in (packages or {}).items()}
     proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, answers, places, arguments)
-    title = ", ".join(file.name for file in proposed.rows.files)
+    title = ", ".join(file.name for file in proposed.rows.origin.files)
     tell(proposed, title, Console(force_jupyter=False))
     return proposed.campaign
 

@@ -156,7 +156,7 @@ def _check(arguments: argparse.Namespace) -> int:
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     if arguments.poses is not None:
         console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)
-    for remark in (*new.rows.refused, *new.rows.notices):
+    for remark in (*new.rows.origin.refused, *new.rows.origin.notices):
         console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
     found = {
         "good": checked.good,

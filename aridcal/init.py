@@ -50,9 +50,9 @@ def tell(proposed: Draft, title: str, console: Console) -> None:
         console.print("[green]found  [/green]" if sure else "[yellow]guessed[/yellow]", end="  ")
         console.print(f"{', '.join(entries)}: {why}", markup=False, highlight=False, soft_wrap=True)
     rows = proposed.rows
-    for remark in (*rows.refused, *rows.notices)[:SHOWN_REMARKS]:
+    for remark in (*rows.origin.refused, *rows.origin.notices)[:SHOWN_REMARKS]:
         console.print(f"note     {remark}", markup=False, highlight=False, soft_wrap=True)
-    said = f"{title}: {len(rows)} usable rows, {len(rows.refused)} refused"
+    said = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
     console.print(said, markup=False, highlight=False, soft_wrap=True)
 
 

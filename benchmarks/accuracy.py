@@ -141,7 +141,7 @@ def real(console: Console) -> None:
             e = [errors(found.stage(name).residual, test, found.channels) for name in ("nominal", "geometric")]
             row = [e[k][unit]["rms"] for unit in ("position_mm", "rotation_mrad") for k in (0, 1)]
             figures.append(row)
-            number, left_out = sequence[found.measurements.line - 2], found.measurements.test
+            number, left_out = sequence[found.measurements.origin.line - 2], found.measurements.test
             flagged = [f"({number[k]})" if left_out[k] else str(number[k]) for k in np.flatnonzero(found.outlier)]
             passed = np.isin(number, BAD_ROWS) & ~found.outlier
             missed = [f"{number[k]} in {'test' if left_out[k] else 'TRAIN'} passed" for k in np.flatnonzero(passed)]

@@ -166,7 +166,7 @@ def series_b() -> None:
     real = load_campaign(TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml")
     robot = load_robot(real.robot.urdf, real.robot.tip, real.robot.base)
     rows = load_measurements(real, robot.readings, robot.limits, robot.kinds)
-    table = pd.read_csv(SERIES_B).iloc[rows.line - 2].reset_index(drop=True)
+    table = pd.read_csv(SERIES_B).iloc[rows.origin.line - 2].reset_index(drop=True)
     every = len(rows)
     nothing = np.zeros(every, dtype=int)
     own = Candidates(rows.readings, np.ones_like(rows.readings), nothing, nothing, np.arange(every))

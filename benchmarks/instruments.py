@@ -68,7 +68,9 @@ def coverage(kind: str | None, runs: int, seed: int) -> None:
             count += len(off)
             squares += float(off @ np.linalg.solve(found.covariance, off))
             q = draw_readings(robot, QUERIES, np.random.default_rng(k))
-            target = None if with_noise.rows.target is None else np.full(QUERIES, with_noise.rows.target[0])
+            target = (
+                None if with_noise.rows.labels.target is None else np.full(QUERIES, with_noise.rows.labels.target[0])
+            )
             at = found.model.rows(q, None, None, target)
             _, here, J = found.model.jacobian(found.theta, at)
             _, there = found.model.poses(true.theta, at)
@@ -235,7 +237,7 @@ def together(runs: int, rows: int, seed: int) -> None:
             true = fit(problem(found.model, without.train), found.theta)
             q, off = draw_readings(robot, QUERIES, np.random.default_rng(k)), []
             for label in own:
-                target = None if one.rows.target is None else np.full(QUERIES, label)
+                target = None if one.rows.labels.target is None else np.full(QUERIES, label)
                 at = found.model.rows(q, None, None, target)
                 off.append(found.model.poses(found.theta, at)[1] - found.model.poses(true.theta, at)[1])
             errors[name].append(float(np.sqrt(np.mean(np.sum(np.array(off) ** 2, axis=2)))))

@@ -208,7 +208,7 @@ def _draw(seed: int, what: str, kind: str | None, outliers: float, rng: np.rando
     R, p = truth.poses(theta, truth.rows(readings, known))
     unseen = dataset(robot.readings, robot.kinds, readings[query], p[query], R[query] if pose else None,
                      covariates={k: v[query] for k, v in known.items()})  # fmt: skip
-    unseen = replace(unseen, order=np.full(QUERIES, np.inf))
+    unseen = unseen.with_origin(order=np.full(QUERIES, np.inf))
     error = rng.standard_normal((n, 6))
     wrong = rng.permutation(n)[: round(outliers * n)]
     direction = rng.standard_normal((len(wrong), 2, 3))

@@ -89,7 +89,7 @@ class Rows:
 def series_b() -> Rows:
     """The real robot's rows without the documented outliers, split as ``identify`` splits them."""
     loaded = load(SERIES_B)
-    sequence = loaded.rows.line - 2
+    sequence = loaded.rows.origin.line - 2
     return Rows("UR10 series B", loaded.robot, loaded.rows.select(~np.isin(sequence, BAD_ROWS)), SERIES_B_FRAMES)
 
 

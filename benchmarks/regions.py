@@ -149,7 +149,7 @@ def station(seed: int, varies: bool, few: bool = False) -> Case:
     whole = truth.with_coefficients((*truth.coefficients, *known))
     R, p = whole.poses(theta, whole.rows(q, columns))
     test = np.arange(len(q)) >= TRAIN
-    rows = replace(measured(robot, q, R, p, test, rng), station=np.array([f"s{k}" for k in label]))
+    rows = measured(robot, q, R, p, test, rng).with_labels(station=np.array([f"s{k}" for k in label]))
     return Case(robot, rows, p, test & (label == 0) if few else test, known, columns)
 
 
@@ -168,7 +168,7 @@ def lone(seed: int, varies: bool) -> Case:
     R, p = truth.poses(theta, truth.rows(q))
     p = p + float(varies) * OFF * columns["there"][:, None] * away / np.linalg.norm(away)
     test = np.arange(len(q)) >= TRAIN
-    rows = replace(measured(robot, q, R, p, test, rng), station=np.array([f"s{k}" for k in label]))
+    rows = measured(robot, q, R, p, test, rng).with_labels(station=np.array([f"s{k}" for k in label]))
     return Case(robot, rows, p, test & (label == 0), known, columns)
 
 
@@ -212,7 +212,7 @@ def errors(case: Case, found: Fit) -> tuple[float, float]:
     """RMS over the rows that judge: of what the tracker says, and of the truth, [mm]."""
     rows = case.rows.select(case.judged)
     columns = {name: values[case.judged] for name, values in case.columns.items()}
-    places = found.model.poses(found.theta, found.model.rows(rows.readings, columns, rows.station))[1]
+    places = found.model.poses(found.theta, found.model.rows(rows.readings, columns, rows.labels.station))[1]
     every = places - rows.position, places - case.true[case.judged]
     return tuple(1e3 * float(np.sqrt(np.mean(np.sum(e**2, axis=1)))) for e in every)  # type: ignore[return-value]
 

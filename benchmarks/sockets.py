@@ -86,7 +86,7 @@ def floor(console: Console, folder: Path) -> None:
         table.add_column(head)
     for name, effects in RIVALS.items():
         rows, *residuals = _declared(_campaign(folder, "none", effects))
-        of = np.array([label.split("/")[0] for label in rows.refers[:, 0]])
+        of = np.array([label.split("/")[0] for label in rows.labels.refers[:, 0]])
         figures = (" / ".join(f"{_rms(_distance(r[of == place])):.3f}" for r in residuals) for place in PLACES)
         table.add_row(name, *figures)
     console.print(table)

@@ -174,7 +174,7 @@ def sigma(name: str, runs: int, seed: int) -> None:
         fit = recentred(with_noise_seen(arm.diagnosed.fit, rows))
         like = np.arange(len(q)) % len(rows)
         known = knowledge(fit, rows, arm.geometry.geometric.candidates).over(rows, q, like)
-        station = None if rows.station is None else rows.station[like]
+        station = None if rows.labels.station is None else rows.labels.station[like]
         true = made.model.poses(made.theta, made.model.rows(q, None, station))[1]
         off = fit.model.poses(fit.theta, known.rows)[1] - true
         squares += np.sum(off**2, axis=1)

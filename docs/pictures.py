@@ -65,7 +65,7 @@ def place(coordinate: int) -> Callable[[Outcome], np.ndarray]:
 
 def row(o: Outcome) -> np.ndarray:
     """The line of the file."""
-    return o.measurements.line
+    return o.measurements.origin.line
 
 
 def torque(joint: str, motion: str = "axis") -> Callable[[Outcome], np.ndarray]:

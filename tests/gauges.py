@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.fit.constants import constants
 from aridcal.head.found import Read
 from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.row_facts import ROLES, Labels
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.instruments.kind import Role
 from aridcal.instruments.pose import TRACKER
@@ -245,15 +246,12 @@ def rows(of: Arm, *blocks: Measured, declared: bool = False) -> Dataset:
     data = dataset(of.robot.readings, of.robot.kinds, q, position)
     return replace(
         data,
-        files=(Path("rows.csv"),),
-        configuration=np.arange(n),
         test=test,
-        split_given=True,
         blocks=tuple(made),
-        block=block,
         observed=observed,
-        refers=refers,
-        target=target,
+        labels=Labels(block, refers, target=target),
+        repeats=replace(data.repeats, configuration=np.arange(n)),
+        origin=replace(data.origin, files=(Path("rows.csv"),), split_given=True),
         instruments=Instruments(things, tuple(t for b in blocks for t in b.ties)),
     )
 

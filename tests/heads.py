@@ -114,11 +114,8 @@ def shots(
     rng = np.random.default_rng([seed, 1])
     T = poses(model, theta, q)
     seen = tuple(look(T[k], int(square[k]), head, rng) for k in range(n))
-    rows = replace(
-        dataset(ARID.readings, ARID.kinds, q, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)),
-        files=(Path("shots.csv"),),
-        split_given=True,
-    )
+    rows = dataset(ARID.readings, ARID.kinds, q, np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
+    rows = rows.with_origin(files=(Path("shots.csv"),), split_given=True)
     job = campaign(more, noise)
     return Shots(job, shot_rows(rows, seen, START, job), seen), q
 

@@ -123,7 +123,7 @@ class Truth:
 def measured(robot: Robot, q: np.ndarray, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """Rows as if they had been read from a file, all of them for training."""
     rows = dataset(robot.readings, robot.kinds, q, position, rotation)
-    return replace(rows, files=(Path("m.csv"),))
+    return rows.with_origin(files=(Path("m.csv"),))
 
 
 def positions_alone(rows: Dataset) -> Dataset:
@@ -205,7 +205,7 @@ def campaign(kind: str = "pose", **sections: object) -> Campaign:
 
 def measurements(truth: Truth, station: np.ndarray | None = None) -> Dataset:
     """The rows, at stations if there are any."""
-    return replace(truth.measured, station=station)
+    return truth.measured.with_labels(station=station)
 
 
 def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:

@@ -36,8 +36,8 @@ def test_a_joint_that_comes_back_to_a_configuration_keeps_its_side() -> None:
 def test_each_file_has_its_own_order_and_time_goes_before_it() -> None:
     q = np.array([[0.0, 1.0], [1.0, 0.5], [0.5, 0.7], [0.0, 0.2]])
     rows = dataset(("a", "b"), ("revolute", "revolute"), q, np.zeros((4, 3)), covariates={"b_direction": np.ones(4)})
-    rows = replace(rows, file=np.array([0, 0, 1, 1]))
-    assert with_directions(rows).derived == ("a_direction",)  # b's was measured
+    rows = rows.with_origin(file=np.array([0, 0, 1, 1]))
+    assert with_directions(rows).origin.derived == ("a_direction",)  # b's was measured
     assert with_directions(rows).covariates["a_direction"].tolist() == [0, 1, 0, -1]
     timed = replace(rows, covariates={"time": np.array([5.0, 4.0, 2.0, np.nan])})
     assert with_directions(timed).covariates["a_direction"].tolist() == [-1, 0, 0, -1]
@@ -85,7 +85,7 @@ def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> No
     rows = with_directions(load_measurements(found, robot.readings, robot.limits, robot.kinds))
     geometric = fit_constants(found, robot, rows, ()).geometric
     train = rows.select(rows.train)
-    asked = [look(geometric.model, part)[0] for part in (train, replace(train, covariates={}, derived=()))]
+    asked = [look(geometric.model, part)[0] for part in (train, replace(train, covariates={}).with_origin(derived=()))]
     with_it, without = (candidates(part, [k for k in KINDS if KINDS[k].testable]) for part in asked)
     more = set(with_it) - set(without)
     assert {(e.kind, e.by) for e in more} == {("joint_backlash", "direction")}

@@ -91,7 +91,7 @@ def test_the_ur10_series_in_its_original_layout_is_read_as_the_converted_file_is
     converted = Path(__file__).resolve().parents[1] / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
     ours, theirs = read_by(proposed(path)), read_by(converted)
     assert len(ours) == len(theirs) > 1400
-    np.testing.assert_array_equal(ours.line, theirs.line)
+    np.testing.assert_array_equal(ours.origin.line, theirs.origin.line)
     np.testing.assert_allclose(ours.readings, theirs.readings, atol=1e-12)
     np.testing.assert_allclose(ours.position, theirs.position, atol=1e-12)
     assert ours.rotation is not None and theirs.rotation is not None
@@ -99,8 +99,8 @@ def test_the_ur10_series_in_its_original_layout_is_read_as_the_converted_file_is
     assert list(ours.covariates) == list(theirs.covariates) == ["temperature"]
     np.testing.assert_array_equal(ours.covariates["temperature"], theirs.covariates["temperature"])
     np.testing.assert_array_equal(ours.test, theirs.test)
-    np.testing.assert_array_equal(ours.configuration, theirs.configuration)
-    np.testing.assert_array_equal(ours.stale, theirs.stale)
+    np.testing.assert_array_equal(ours.repeats.configuration, theirs.repeats.configuration)
+    np.testing.assert_array_equal(ours.repeats.stale, theirs.repeats.stale)
 
 
 # ---------------------------------------------------------------- questions and their answers
@@ -148,7 +148,7 @@ def test_a_later_table_needs_nothing_that_is_ignored_and_may_be_plain(tmp_path: 
         rows = read_by(out, [other])
         np.testing.assert_allclose(rows.readings, own.readings, atol=1e-12)
         np.testing.assert_allclose(rows.position, own.position, atol=1e-12)
-        assert not rows.refused and not [note for note in rows.notices if "ignore" in note.why]
+        assert not rows.origin.refused and not [note for note in rows.origin.notices if "ignore" in note.why]
 
 
 def test_a_later_table_without_its_line_of_units_loses_no_row(tmp_path: Path) -> None:

@@ -577,7 +577,7 @@ def test_names_that_utf_8_has_not_are_written_somehow(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("aridcal.report.page._chapters", lambda *_: [])
-    odd = replace(outcome, measurements=replace(outcome.measurements, files=(Path(os.fsdecode(b"m\xff.csv")),)))
+    odd = replace(outcome, measurements=outcome.measurements.with_origin(files=(Path(os.fsdecode(b"m\xff.csv")),)))
     assert page.write_report(odd, handover, tmp_path / "report.html") == ()
     assert "m\\udcff.csv" in (tmp_path / "report.html").read_text("utf-8")
 
@@ -589,7 +589,7 @@ def test_a_thinned_scene_keeps_the_flagged_rows_and_says_so(
     monkeypatch.setattr("aridcal.drawing.thinned.SOUND_DRAWN", 4)
     odd = np.isin(np.arange(len(outcome.outlier)), [1, 2, 5, 7, len(outcome.outlier) - 1])
     drawn = scene.scene(replace(outcome, outlier=odd))
-    assert sorted(drawn.line[drawn.outlier].tolist()) == sorted(outcome.measurements.line[odd].tolist())
+    assert sorted(drawn.line[drawn.outlier].tolist()) == sorted(outcome.measurements.origin.line[odd].tolist())
     assert 5 < len(drawn.line) <= 20 and len(drawn.measured) == len(drawn.readings) == len(drawn.line)
     assert (np.diff(drawn.line) > 0).all()
     scene.write_scene(replace(outcome, outlier=odd), tmp_path / "scene.html")

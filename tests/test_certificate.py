@@ -177,7 +177,7 @@ def test_what_is_not_stated_is_said_not_to_be(outcome: Outcome, folder: Path) ->
     facts = dict(page.parts[0].facts)
     assert facts["Robot"] == "ur10"
     assert [facts[name] for name in ("Serial number", "Instrument", "Measured by")] == ["not stated"] * 3
-    (file,) = outcome.measurements.files
+    (file,) = outcome.measurements.origin.files
     os.utime(file, (1.7e9, 1.7e9))
     dated = dict(certificate(outcome, About(), folder, ISSUED).parts[0].facts)["Measured on"]
     assert dated == "not stated (newest file: 2023-11-14)"
@@ -196,7 +196,7 @@ def test_a_hash_that_leaves_images_out_says_so(outcome: Outcome) -> None:
     head = Block("head", CAMERA_SONAR.name, (), ())
     assert module._joined(replace(m, blocks=(head,))) == " (without its images)"
     assert module._joined(m) == ""
-    assert module._joined(replace(m, files=m.files * 2)) == " (one after the other)"
+    assert module._joined(m.with_origin(files=m.origin.files * 2)) == " (one after the other)"
 
 
 @pytest.mark.parametrize("tied", [True, False])

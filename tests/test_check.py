@@ -288,7 +288,7 @@ def test_a_row_that_is_off_by_itself_is_named_and_not_the_robot():
     rows = m.measured(m.configurations(8))
     rows.position[3] += [2e-3, 0.0, -1e-3]
     found = check(m.saved, rows)
-    assert [(c.kind, c.where) for c in found.causes] == [("row", str(rows.line[3]))]
+    assert [(c.kind, c.where) for c in found.causes] == [("row", str(rows.origin.line[3]))]
     assert found.moved == ()
 
 
@@ -348,9 +348,9 @@ def test_rows_that_are_held_out_tell_nothing(results, tmp_path):
     m = ur10(7)
     rows = m.measured(m.configurations(12))
     rows.position[:4] += 0.01
-    held = replace(rows, test=np.arange(12) < 4, split_given=True)
+    held = replace(rows, test=np.arange(12) < 4).with_origin(split_given=True)
     assert check(m.saved, held).good
-    assert not check(m.saved, replace(held, split_given=False)).good
+    assert not check(m.saved, held.with_origin(split_given=False)).good
 
 
 def test_tables_in_millimetres_and_degrees_with_stations_are_read_as_the_campaign_s(tmp_path, capsys):

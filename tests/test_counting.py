@@ -131,7 +131,7 @@ def test_cells_come_back_from_readings_in_every_unit(truth: robots.Truth, tmp_pa
     region = {"joints": {ELBOW: [-20.0, 30.0]}}
     campaign = load_campaign(written(tmp_path, truth, table, keys, region=region))
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
-    order = rows.line - 2
+    order = rows.origin.line - 2
     np.testing.assert_allclose(rows.readings, q[order], atol=1e-14)
     # the side from which a joint came is told as its column counts
     assert np.array_equal(rows.covariates["elbow_joint_direction"], -np.sign(q[order, 0]))

@@ -4,6 +4,7 @@ import hashlib
 import io
 from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -90,14 +91,14 @@ def test_every_number_arrives_to_the_last_bit(write: Callable[..., Path], name: 
     table = rows(50)
     path = write(table.sample(frac=1, axis=1, random_state=1), name)
     m = load(path)
-    assert len(m) == 50 and not m.refused and not m.notices and m.names == JOINTS
+    assert len(m) == 50 and not m.origin.refused and not m.origin.notices and m.names == JOINTS
     np.testing.assert_array_equal(m.readings, table[list(JOINTS)])
     np.testing.assert_array_equal(m.position, table[POSE[:3]])
     np.testing.assert_allclose(m.rotation, matrices(table[POSE[3:]].to_numpy()), atol=1e-15)
     assert m.channels == (TARGET_POSITION, TARGET_ROTATION) and m.sigma == (None, None)
-    np.testing.assert_array_equal(m.line, np.arange(2, 52))
-    assert m.relative is None and not m.stale.any() and m.station is None and m.covariates == {}
-    assert m.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    np.testing.assert_array_equal(m.origin.line, np.arange(2, 52))
+    assert m.relative is None and not m.repeats.stale.any() and m.labels.station is None and m.covariates == {}
+    assert m.origin.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def test_units_are_converted_in_every_column_that_has_one(write: Callable[..., Path]) -> None:
@@ -191,8 +192,13 @@ def test_other_numeric_columns_are_covariates_with_their_holes(write: Callable[.
     np.testing.assert_array_equal(m.covariates["time"], [5, 4, 3, 2, 1, 0])
     np.testing.assert_array_equal(m.covariates["temperature_arm"], [20.5, np.nan, 21, np.nan, 22, np.nan])
     np.testing.assert_array_equal(m.covariates["shoulder_direction"], [-1, 0, 1, 1, np.nan, -1])
-    assert len(m) == 6 and {n.column for n in m.notices} == {"temperature_arm", "shoulder_direction", "note", "empty"}
-    assert next(n for n in m.notices if n.column == "shoulder_direction").row == 6
+    assert len(m) == 6 and {n.column for n in m.origin.notices} == {
+        "temperature_arm",
+        "shoulder_direction",
+        "note",
+        "empty",
+    }
+    assert next(n for n in m.origin.notices if n.column == "shoulder_direction").row == 6
 
 
 def test_a_frames_index_written_by_pandas_is_no_covariate(write: Callable[..., Path]) -> None:
@@ -224,17 +230,17 @@ def test_several_files_are_one_table_in_their_order(write: Callable[..., Path]) 
     second = pd.concat([second, first.iloc[:1]])
     paths = [write(first, "a.csv"), write(second.sample(frac=1, axis=1, random_state=0), "b.csv")]
     m = load(paths)
-    assert m.files == tuple(paths)
-    np.testing.assert_array_equal(m.file, [0] * 5 + [1] * 6)
-    np.testing.assert_array_equal(m.line, [2, 3, 4, 5, 6, 2, 3, 5, 6, 7, 8])
-    assert [(r.file, r.row) for r in m.refused] == [("b.csv", 4), ("b.csv", 9)]
-    assert m.refused[1].why == "identical to line 2 of a.csv"
+    assert m.origin.files == tuple(paths)
+    np.testing.assert_array_equal(m.origin.file, [0] * 5 + [1] * 6)
+    np.testing.assert_array_equal(m.origin.line, [2, 3, 4, 5, 6, 2, 3, 5, 6, 7, 8])
+    assert [(r.file, r.row) for r in m.origin.refused] == [("b.csv", 4), ("b.csv", 9)]
+    assert m.origin.refused[1].why == "identical to line 2 of a.csv"
     stale = first.iloc[:1].assign(rail=first["rail"].iloc[0] + 0.1)
-    noted = load([paths[0], write(stale, "stale.csv")]).notices
+    noted = load([paths[0], write(stale, "stale.csv")]).origin.notices
     assert [(n.file, n.row) for n in noted] == [("stale.csv", 2)]
     assert "repeats the pose of line 2 of a.csv exactly" in noted[0].why
     both = b"".join(path.read_bytes() for path in paths)
-    assert m.sha256 == hashlib.sha256(both).hexdigest()
+    assert m.origin.sha256 == hashlib.sha256(both).hexdigest()
     parquet = load([paths[0], write(rows(7, seed=9), "c.parquet")])
     assert len(parquet) == 12
     message = failure([paths[0], write(rows(3).assign(more=1.0), "d.csv")])
@@ -247,9 +253,10 @@ def test_selected_rows_are_the_same_rows_in_every_array(write: Callable[..., Pat
     m = load(write(table))
     pick = np.array([7, 3, 11])
     some = m.select(pick)
-    assert len(some) == 3 and some.station is not None and list(some.station) == ["s1", "s0", "s2"]
-    for name in ("line", "file", "readings", "position", "rotation", "relative", "stale", "test"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(m, name)[pick])
+    assert len(some) == 3 and some.labels.station is not None and list(some.labels.station) == ["s1", "s0", "s2"]
+    for name in ("origin.line", "origin.file", "readings", "position", "rotation", "relative", "repeats.stale", "test"):
+        of = attrgetter(name)
+        np.testing.assert_array_equal(of(some), of(m)[pick])
     np.testing.assert_array_equal(some.covariates["time"], [7, 3, 11])
     assert len(m.select(m.test)) + len(m.select(m.train)) == 20
 
@@ -261,18 +268,19 @@ def test_a_part_of_the_data_leaves_the_whole_as_it_was_and_numbers_its_own_confi
     q = rows(4)[list(JOINTS)].to_numpy()[config]
     m = dataset(JOINTS, KINDS, q, rng.normal(size=(8, 3)), sigma=(1e-3,), test=config == 3)
     m = replace(m, relative=rng.uniform(1, 2, (8, 3)))
-    np.testing.assert_array_equal(m.configuration, config)
-    before = m.configuration.copy(), m.relative.copy()
+    np.testing.assert_array_equal(m.repeats.configuration, config)
+    before = m.repeats.configuration.copy(), m.relative.copy()
     mask = np.array([False, False, True, True, True, False, True, True])
     some, same = m.select(mask), m.select(np.flatnonzero(mask))
-    assert list(some.configuration) == [0, 1, 0, 2, 1] and list(m.select(mask).select([1, 4]).configuration) == [0, 0]
+    assert list(some.repeats.configuration) == [0, 1, 0, 2, 1]
+    assert list(m.select(mask).select([1, 4]).repeats.configuration) == [0, 0]
     np.testing.assert_array_equal(some.relative, m.relative[mask])  # not scaled anew: sigma is that of the whole
-    for name in ("line", "readings", "position", "relative", "configuration", "test"):
-        np.testing.assert_array_equal(getattr(some, name), getattr(same, name))
+    for name in ("origin.line", "readings", "position", "relative", "repeats.configuration", "test"):
+        np.testing.assert_array_equal(attrgetter(name)(some), attrgetter(name)(same))
     assert (some.sigma, some.channels, some.names, some.kinds) == (m.sigma, m.channels, m.names, m.kinds)
     some.relative[:] = some.readings[:] = 0.0
     assert len(m) == 8 and m.readings.all()
-    for was, now in zip(before, (m.configuration, m.relative), strict=True):
+    for was, now in zip(before, (m.repeats.configuration, m.relative), strict=True):
         np.testing.assert_array_equal(was, now)
     with pytest.raises(FrozenInstanceError):
         m.test = ~m.test
@@ -297,16 +305,16 @@ def test_a_part_of_the_data_leaves_the_whole_as_it_was_and_numbers_its_own_confi
 )
 def test_a_bad_cell_costs_its_row_and_is_named(write: Callable[..., Path], column: str, value: str, why: str) -> None:
     m = load(write(changed(7, column, value)))
-    (refused,) = m.refused
+    (refused,) = m.origin.refused
     assert (refused.file, refused.row, refused.column, refused.value) == ("m.csv", 7, column, value)
     assert refused.why == why
-    assert len(m) == 19 and 7 not in m.line and np.isfinite(m.readings).all() and np.isfinite(m.rotation).all()
+    assert len(m) == 19 and 7 not in m.origin.line and np.isfinite(m.readings).all() and np.isfinite(m.rotation).all()
 
 
 def test_a_refused_row_is_named_once_however_much_is_wrong(write: Callable[..., Path]) -> None:
     table = changed(5, "rail", "")
     table.loc[3, ["x", "qw"]] = ["text", 17]
-    assert [(r.row, r.column) for r in load(write(table)).refused] == [(5, "rail")]
+    assert [(r.row, r.column) for r in load(write(table)).origin.refused] == [(5, "rail")]
 
 
 def test_quaternions_are_normalised_within_a_thousandth(write: Callable[..., Path]) -> None:
@@ -315,7 +323,7 @@ def test_quaternions_are_normalised_within_a_thousandth(write: Callable[..., Pat
     table.loc[3, POSE[3:]] *= 1.0011
     table.loc[4, POSE[3:]] = 0.0
     m = load(write(table))
-    assert [r.row for r in m.refused] == [5, 6] and [r.value for r in m.refused] == ["1.0011", "0"]
+    assert [r.row for r in m.origin.refused] == [5, 6] and [r.value for r in m.origin.refused] == ["1.0011", "0"]
     np.testing.assert_allclose(m.rotation @ m.rotation.transpose(0, 2, 1), np.tile(np.eye(3), (18, 1, 1)), atol=1e-15)
     np.testing.assert_allclose(m.rotation[2], matrices(rows()[POSE[3:]].to_numpy())[2], atol=1e-15)
 
@@ -325,10 +333,12 @@ def test_of_identical_rows_the_first_is_kept(write: Callable[..., Path]) -> None
     table["split"] = ["train"] * 5 + ["test"] * 3
     m = load(write(table))
     assert len(m) == 5 and not m.test.any()
-    assert [(r.row, r.why) for r in m.refused] == [(k, f"identical to line {j}") for k, j in ((7, 3), (8, 3), (9, 5))]
+    assert [(r.row, r.why) for r in m.origin.refused] == [
+        (k, f"identical to line {j}") for k, j in ((7, 3), (8, 3), (9, 5))
+    ]
     measured_again = table.assign(time=range(8))
     copies = load(write(measured_again))
-    assert len(copies) == 5 and [r.row for r in copies.refused] == [7, 8, 9]
+    assert len(copies) == 5 and [r.row for r in copies.origin.refused] == [7, 8, 9]
     other = measured_again.assign(temperature=[20.0] * 5 + [20.0, 25.0, 25.0])  # the same bits under another condition
     assert len(load(write(other))) == 7
 
@@ -338,12 +348,14 @@ def test_a_pose_that_did_not_follow_the_joints_is_named(write: Callable[..., Pat
     table.loc[8, POSE] = table.loc[7, POSE]
     table = pd.concat([table, table.iloc[[3]].assign(rail=table["rail"][3] + 5e-5)])
     m = load(write(table))
-    assert len(m) == 21 and [(n.row, "line 9" in n.why) for n in m.notices] == [(10, True)]
-    assert list(m.line[m.stale]) == [10]
+    assert len(m) == 21 and [(n.row, "line 9" in n.why) for n in m.origin.notices] == [(10, True)]
+    assert list(m.origin.line[m.repeats.stale]) == [10]
     later = rows()
     later.loc[15, POSE] = later.loc[4, POSE]
     m = load(write(later))
-    assert list(m.line[m.stale]) == [17] and [(n.row, "line 6" in n.why) for n in m.notices] == [(17, True)]
+    assert list(m.origin.line[m.repeats.stale]) == [17] and [(n.row, "line 6" in n.why) for n in m.origin.notices] == [
+        (17, True)
+    ]
 
 
 def test_rows_with_too_many_or_too_few_cells_are_named(write: Callable[..., Path]) -> None:
@@ -353,8 +365,8 @@ def test_rows_with_too_many_or_too_few_cells_are_named(write: Callable[..., Path
     lines.insert(12, "")
     lines.insert(15, "   ")
     m = load(write("\r\n".join(lines)))
-    assert [r.row for r in m.refused] == [5, 10] and "11 cells" in m.refused[0].why
-    assert len(m) == 18 and list(m.line) == [k for k in range(2, 24) if k not in (5, 10, 13, 16)]
+    assert [r.row for r in m.origin.refused] == [5, 10] and "11 cells" in m.origin.refused[0].why
+    assert len(m) == 18 and list(m.origin.line) == [k for k in range(2, 24) if k not in (5, 10, 13, 16)]
 
 
 def test_readings_outside_limits_are_used_and_named(write: Callable[..., Path]) -> None:
@@ -364,7 +376,7 @@ def test_readings_outside_limits_are_used_and_named(write: Callable[..., Path]) 
     table.loc[3, "wrist"] = 400.0
     m = load(write(table))
     assert len(m) == 20
-    assert [(n.row, n.column, float(n.value)) for n in m.notices] == [(2, "rail", -0.01), (4, "shoulder", 3.2)]
+    assert [(n.row, n.column, float(n.value)) for n in m.origin.notices] == [(2, "rail", -0.01), (4, "shoulder", 3.2)]
 
 
 def test_limits_of_continuous_joints_count_whole_turns(write: Callable[..., Path]) -> None:
@@ -373,7 +385,7 @@ def test_limits_of_continuous_joints_count_whole_turns(write: Callable[..., Path
     limits = np.array([[0, 18], [-3, 3], [-1, 1]])
     m = load_measurements(campaign(write(table)), JOINTS, limits, KINDS)
     turned = np.angle(np.exp(1j * readings))
-    assert [n.row for n in m.notices if n.column == "wrist"] == list(2 + np.flatnonzero(np.abs(turned) > 1.0001))
+    assert [n.row for n in m.origin.notices if n.column == "wrist"] == list(2 + np.flatnonzero(np.abs(turned) > 1.0001))
 
 
 @pytest.mark.parametrize(
@@ -439,7 +451,7 @@ def test_if_nothing_is_usable_the_reasons_are_counted(write: Callable[..., Path]
 def test_one_row_and_rows_all_alike_can_be_held(write: Callable[..., Path]) -> None:
     assert len(load(write(rows(1)))) == 1
     m = load(write(pd.concat([rows(1)] * 4)))
-    assert len(m) == 1 and len(m.refused) == 3
+    assert len(m) == 1 and len(m.origin.refused) == 3
     stood_still = rows(4).assign(rail=1.0, shoulder=0.0, wrist=0.0)
     assert len(load(write(stood_still))) == 4
 
@@ -447,9 +459,9 @@ def test_one_row_and_rows_all_alike_can_be_held(write: Callable[..., Path]) -> N
 def test_rows_that_measure_something_else_need_no_pose(write: Callable[..., Path]) -> None:
     table = rows().drop(columns=POSE).assign(h1=0.25, image=[f"{k}.png" for k in range(20)])
     m = as_read(load_measurements(campaign(write(table)), JOINTS, LIMITS, KINDS, require_pose=False))
-    assert np.isnan(m.position).all() and m.rotation is None and m.relative is None and not m.stale.any()
+    assert np.isnan(m.position).all() and m.rotation is None and m.relative is None and not m.repeats.stale.any()
     np.testing.assert_array_equal(m.readings, table[list(JOINTS)])
-    assert list(m.covariates) == ["h1"] and [n.column for n in m.notices] == ["image"]
+    assert list(m.covariates) == ["h1"] and [n.column for n in m.origin.notices] == ["image"]
 
 
 # ---------------------------------------------------------------- wrong units
@@ -480,8 +492,8 @@ def test_metres_taken_for_millimetres_are_refused_with_the_remedy(write: Callabl
 
 
 def test_radians_taken_for_degrees_are_mentioned(write: Callable[..., Path]) -> None:
-    assert any("units: {angle: rad}" in n.why for n in load(write(rows()), units={"angle": "deg"}).notices)
-    assert not load(write(rows())).notices
+    assert any("units: {angle: rad}" in n.why for n in load(write(rows()), units={"angle": "deg"}).origin.notices)
+    assert not load(write(rows())).origin.notices
 
 
 def test_euler_angles_in_degrees_are_recognised(write: Callable[..., Path]) -> None:
@@ -497,7 +509,7 @@ def test_a_few_wild_rows_do_not_condemn_the_unit(write: Callable[..., Path]) -> 
     table.loc[:2, "shoulder"] = 90.0
     table.loc[:2, "x"] = 900.0
     m = load(write(table))
-    assert len(m) == 20 and [n.row for n in m.notices] == [2, 3, 4]
+    assert len(m) == 20 and [n.row for n in m.origin.notices] == [2, 3, 4]
 
 
 # ---------------------------------------------------------------- blocks and the split
@@ -590,7 +602,10 @@ def test_the_split_is_that_of_its_seed(write: Callable[..., Path]) -> None:
 
 def test_a_split_column_is_obeyed_and_other_words_are_refused(write: Callable[..., Path]) -> None:
     m = load(write(rows(5).assign(split=["train", "test", "Test", "", "train"])))
-    assert list(m.test) == [False, True, False] and [(r.row, r.value) for r in m.refused] == [(4, "Test"), (5, "")]
+    assert list(m.test) == [False, True, False] and [(r.row, r.value) for r in m.origin.refused] == [
+        (4, "Test"),
+        (5, ""),
+    ]
 
 
 # ---------------------------------------------------------------- stations
@@ -602,8 +617,8 @@ def test_frames_per_station_need_their_label(write: Callable[..., Path]) -> None
         load(write(rows()), frames=frames)
     table = rows(4).assign(station=["north", "", "7", "north"])
     m = load(write(table), frames=frames)
-    assert m.station is not None and list(m.station) == ["north", "7", "north"]
-    assert [(r.row, r.column, r.why) for r in m.refused] == [(3, "station", "empty")]
+    assert m.labels.station is not None and list(m.labels.station) == ["north", "7", "north"]
+    assert [(r.row, r.column, r.why) for r in m.origin.refused] == [(3, "station", "empty")]
     assert len(load(write(table))) == 4
 
 
@@ -668,7 +683,7 @@ def test_a_query_with_a_broken_row_is_refused_whole(write: Callable[..., Path]) 
 def test_a_hundred_thousand_rows_are_read_whole(write: Callable[..., Path]) -> None:
     table = rows(100_000)
     m = load(write(table, "big.parquet"))
-    assert len(m) == 100_000 and m.test.sum() == 20_000 and not m.refused
+    assert len(m) == 100_000 and m.test.sum() == 20_000 and not m.origin.refused
     np.testing.assert_array_equal(m.position, table[POSE[:3]])
 
 
@@ -680,11 +695,11 @@ def test_the_public_ur10_series_are_read_and_their_stale_rows_named(shared_data:
     for series, count in (("b", 1495), ("d", 632)):
         path = shared_data / "ur10-laser-tracker" / f"series_{series}.csv"
         m = as_read(load_measurements(campaign(path, ignore=["sequence"]), joints, limits, kinds))
-        assert len(m) == count and not m.refused and set(m.covariates) == {"temperature"}
-        stale = [n.row for n in m.notices]
+        assert len(m) == count and not m.origin.refused and set(m.covariates) == {"temperature"}
+        stale = [n.row for n in m.origin.notices]
         sequence = pd.read_csv(path)["sequence"].to_numpy()
-        assert list(m.line[m.stale]) == [row for row in stale if row]
+        assert list(m.origin.line[m.repeats.stale]) == [row for row in stale if row]
         assert [sequence[row - 2] for row in stale if row] == ([532, 1063] if series == "b" else [])
         if series == "b":
-            repeated = np.bincount(m.configuration) > 1
+            repeated = np.bincount(m.repeats.configuration) > 1
             assert repeated.sum() == 293

@@ -159,7 +159,7 @@ def test_markers_behind_a_box_are_not_counted_on(tmp_path: Path) -> None:
         candidates = draw_candidates(known, 60, 10, np.random.default_rng(0))
         R, p = targets_of(known, candidates.readings[candidates.of], candidates.pattern)
         eye = p + 0.05 * R[:, :, 2]
-        marker = np.array([board[str(known.patterns.refers[k, 2])] for k in candidates.pattern])
+        marker = np.array([board[str(known.patterns.labels.refers[k, 2])] for k in candidates.pattern])
         at = np.linspace(0, 1, 301)[:, None, None]
         points = eye + at * (marker - eye)
         mounts = (at[:, :, 0] * np.linalg.norm(marker - eye, axis=1) < 0.03) | (

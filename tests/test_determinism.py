@@ -91,8 +91,13 @@ def test_permuted_rows_are_read_as_the_same_data_to_the_last_bit(campaign: Path,
     table = attacked(campaign).assign(station="")
     table["station"] = np.where(table["x"] > 0, "b", "a")
     here, there = read(campaign, table), read(campaign, permuted(table, seed))
-    assert len(here) == len(table) - 2 and here.test.any() and here.doubtful.sum() == 2 and here.stale.sum() == 1
-    assert not np.array_equal(here.line, there.line)
+    assert (
+        len(here) == len(table) - 2
+        and here.test.any()
+        and here.repeats.doubtful.sum() == 2
+        and here.repeats.stale.sum() == 1
+    )
+    assert not np.array_equal(here.origin.line, there.line)
     for name in (f.name for f in fields(Dataset)):
         a, b = getattr(here, name), getattr(there, name)
         if isinstance(a, np.ndarray) and name not in PLACES | (BY_ORDER if "time" not in table else set()):

@@ -48,9 +48,8 @@ def mixed(ties: bool, seed: int = 0) -> tuple[Model, Dataset, np.random.Generato
     data = replace(
         data,
         blocks=(Block("points", "point", (TARGET_POSITION,), (None,)), Block("wires", "distance", (LENGTH,), (None,))),
-        block=block,
         observed=rng.uniform(2.0, 4.0, (n, 1)),
-        refers=refers,
+        labels=replace(data.labels, block=block, refers=refers),
         instruments=Instruments(things, tied),
     )
     names = ("elbow_joint", "wrist_1_joint", "wrist_2_joint")
@@ -117,7 +116,7 @@ def test_unknowns_cost_the_freedom_that_they_take() -> None:
     """3 points and 2 anchors of 4 unknowns each: numbers measured, less those."""
     model, data, _ = mixed(False)
     here = linearise(problem(model, data), np.zeros(9), np.ones(len(data)), SIGMA)
-    points, wires = (data.block == 0).sum(), (data.block == 1).sum()
+    points, wires = (data.labels.block == 0).sum(), (data.labels.block == 1).sum()
     np.testing.assert_allclose(here.equations.count, [3 * points - 9, wires - 8])
     np.testing.assert_allclose(problem(model, data).taken(np.ones(len(data))), [9, 8])
 
@@ -174,7 +173,7 @@ def touching(coefficients: tuple[Coefficient, ...]) -> Problem:
         data,
         blocks=(Block("points", "point", (TARGET_POSITION,), (None,)),),
         observed=np.zeros((n, 0)),
-        refers=refers,
+        labels=replace(data.labels, refers=refers),
         instruments=Instruments({"point": things}),
     )
     return problem(replace(base, instruments=data.instruments), data)

@@ -187,7 +187,7 @@ def test_a_second_look_is_a_table_as_well(cal: aridcal.Calibration) -> None:
     assert rows["shift_mm"].is_monotonic_decreasing and len(rows) == 20
     train = np.flatnonzero(cal.outcome.measurements.train)
     k = train[looked.influence.rows[0]]
-    assert rows.index[0][1] == cal.outcome.measurements.line[k]
+    assert rows.index[0][1] == cal.outcome.measurements.origin.line[k]
     assert rows["deciding"].sum() == len(looked.influence.deciding)
 
 

@@ -60,7 +60,7 @@ def test_rows_that_were_seated_otherwise_are_told_with_how_many_how_far_and_whic
     assert told == pytest.approx(1e3 * size, rel=0.2)
     assert " 1.00)" in clue.what or "0.9" in clue.what
     lines = {int(word) for word in clue.what.split("Lines ")[1].split(" and ")[0].split(",")}
-    right = set(truth.measured.line[odd if odd.sum() == few else ~odd].tolist())
+    right = set(truth.measured.origin.line[odd if odd.sum() == few else ~odd].tolist())
     assert len(lines & right) >= 0.85 * len(lines)
 
 

@@ -195,7 +195,7 @@ def test_targets_of_one_body_count_once() -> None:
     once = robots.simulate(robots.arid(), 50, np.random.default_rng(6), 1e-3, NOISE)
     found = calibrated(once)
     three = once.measured.select(np.repeat(np.arange(50), 3))
-    shared = replace(three, share=1.0 / 3.0)
+    shared = three.with_repeats(share=1.0 / 3.0)
     again = fit(problem(found.model, shared), found.theta, np.ones(150))
     before, after = compared(found, once.measured), compared(again, shared)
     assert after.freedom == before.freedom

@@ -142,8 +142,8 @@ def test_shots_that_cannot_be_used_are_named_and_the_others_are_used(folder):
     table.to_csv(folder / "shots.csv", index=False)
     shots, _ = read(folder)
     assert len(shots.rows) == shots.rows.observed.shape[0] == 14 - len(faults)
-    assert [r.row for r in shots.rows.refused] == [2 + k for k in range(len(faults))]
-    for refused, (_, why) in zip(shots.rows.refused, faults, strict=True):
+    assert [r.row for r in shots.rows.origin.refused] == [2 + k for k in range(len(faults))]
+    for refused, (_, why) in zip(shots.rows.origin.refused, faults, strict=True):
         assert refused.file == "shots.csv" and why in refused.why
 
 

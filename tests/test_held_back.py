@@ -34,8 +34,8 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
     _, geometric, truth = fits(40, 1e-3)
     data = truth.measured
     squares = arm._squares(geometric, data)
-    number = np.random.default_rng(2).permutation(int(data.configuration.max()) + 1)
-    block = number[data.configuration] % arm.BLOCKS
+    number = np.random.default_rng(2).permutation(int(data.repeats.configuration.max()) + 1)
+    block = number[data.repeats.configuration] % arm.BLOCKS
     asked = problem(geometric.model, data)
     for k in (0, 3):
         rest = asked.select(block != k)
@@ -84,7 +84,7 @@ def markers(folder: Path, apart: bool) -> Path:
 
 def test_markers_made_from_one_pose_are_one_measurement_and_make_no_robot_worse(tmp_path: Path) -> None:
     outcome = identify(markers(tmp_path, apart=False))
-    assert outcome.measurements.share == pytest.approx(1 / 3)
+    assert outcome.measurements.repeats.share == pytest.approx(1 / 3)
     assert any("count as one measurement" in notice for notice in outcome.notices)
     assert outcome.effects == ()
     assert any("nominal robot is kept" in notice for notice in outcome.notices)
@@ -95,7 +95,7 @@ def test_markers_made_from_one_pose_are_one_measurement_and_make_no_robot_worse(
 
 def test_markers_that_were_measured_by_themselves_count_in_full(tmp_path: Path) -> None:
     outcome = identify(markers(tmp_path, apart=True))
-    assert outcome.measurements.share == 1.0
+    assert outcome.measurements.repeats.share == 1.0
     assert not any("count as one" in notice for notice in outcome.notices)
 
 
@@ -105,10 +105,10 @@ def test_targets_of_one_body_keep_their_distances_whatever_the_robot_does() -> N
     R, p = Rotation.random(n, rng=rng).as_matrix(), rng.normal(size=(n, 3))
     place = np.concatenate([p + R @ arm for arm in ARMS])
     q = np.tile(robots.readings(robots.ur10(), n, rng), (3, 1))
-    rows = replace(robots.measured(robots.ur10(), q, place), station=np.repeat(["A", "B", "C"], n))
+    rows = robots.measured(robots.ur10(), q, place).with_labels(station=np.repeat(["A", "B", "C"], n))
     assert targets_of_one_body(rows, 1e-3) == 3
     assert targets_of_one_body(robots.placed(rows, position=place + rng.normal(0, 1e-4, place.shape)), 1e-3) == 1
     two = rows.position.copy()
     two[2 * n :] += rng.normal(0, 1e-4, (n, 3))
     assert targets_of_one_body(robots.placed(rows, position=two), 1e-3) == 2
-    assert targets_of_one_body(replace(rows, station=None), 1e-3) == 1
+    assert targets_of_one_body(rows.with_labels(station=None), 1e-3) == 1

@@ -236,7 +236,7 @@ def test_a_station_without_training_rows_lends_them_from_the_test(tmp_path: Path
     outcome = pipeline.identify(robots.write_campaign(tmp_path, truth, rows, frames=frames))
     labels = [label for label, _ in outcome.stage("final").fit.model.world_base]
     assert labels == ["far", "near"]
-    assert (~outcome.measurements.test & (outcome.measurements.station == "far")).any()
+    assert (~outcome.measurements.test & (outcome.measurements.labels.station == "far")).any()
 
 
 def ur10_campaign(folder: Path, series: Path) -> Path:
@@ -266,7 +266,7 @@ def test_ur10_series_b_reaches_the_published_accuracy(shared_data: Path, tmp_pat
         position.append(np.sqrt(np.mean(np.sum(geometric.residual[test, :3] ** 2, axis=1))))
         rotation.append(np.sqrt(np.mean(np.sum(geometric.residual[test, 3:] ** 2, axis=1))))
         nominal.append(np.sqrt(np.mean(np.sum(bare.residual[test, :3] ** 2, axis=1))))
-        sequence = outcome.measurements.line - 2
+        sequence = outcome.measurements.origin.line - 2
         # On test rows only what is off by ten robust scales counts: none of the four is.
         assert set(sequence[outcome.outlier]) == BAD_ROWS & set(sequence[~outcome.measurements.test])
         assert len(geometric.fit.theta) == 30

@@ -133,8 +133,8 @@ def test_a_column_that_the_next_table_lacks_is_ignored_and_said_to_be(tmp_path):
     assert "temperature (not in b.csv as a plain column)" in " ".join(made.campaign.text.replace("#", "").split())
     assert "shot (not in a.csv as a plain column)" in " ".join(made.campaign.text.replace("#", "").split())
     rows = read_back(out, robot)
-    assert len(rows) == len(whole) and not rows.refused and rows.covariates == {}
-    assert not [note for note in rows.notices if "ignore" in note.why]
+    assert len(rows) == len(whole) and not rows.origin.refused and rows.covariates == {}
+    assert not [note for note in rows.origin.notices if "ignore" in note.why]
 
 
 def test_a_joint_that_the_next_table_lacks_is_named(tmp_path):
@@ -197,7 +197,7 @@ def test_a_split_of_the_users_is_kept_and_a_row_counter_ignored(tmp_path):
     pd.DataFrame(table).to_csv(tmp_path / "m.csv", index=False)
     made = draft(UR10, [tmp_path / "m.csv"], tmp_path / "c.yaml", never)
     text, rows = made.campaign.text, made.rows
-    assert rows.split_given
+    assert rows.origin.split_given
     np.testing.assert_array_equal(rows.test[rows.as_read], own == "test")
     assert "ignore: ['no', remark, laser std x]" in text
     assert list(rows.covariates) == ["humidity", "temperature"]

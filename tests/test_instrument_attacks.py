@@ -75,7 +75,7 @@ def test_one_marker_seen_once_costs_nothing(tmp_path: Path) -> None:
     of = gauges.arm(3)
     data = gauges.rows(of, gauges.points(of, 2, 30, tied=False))
     alone = fit_geometry(gauges.campaign(tmp_path, of, data), of.robot, data, ()).geometric
-    refers = data.refers.copy().astype("U16")
+    refers = data.labels.refers.copy().astype("U16")
     refers[7, 0] = "lonely"
     things = data.instruments.things["point"]
     more = replace(
@@ -85,7 +85,8 @@ def test_one_marker_seen_once_costs_nothing(tmp_path: Path) -> None:
         free=np.vstack([things.free, np.ones((1, 3), dtype=bool)]),
         std=np.vstack([things.std, np.full((1, 3), np.inf)]),
     )
-    odd = replace(data, refers=refers, instruments=replace(data.instruments, things={"point": more}))
+    instruments = replace(data.instruments, things={"point": more})
+    odd = replace(data, instruments=instruments).with_labels(refers=refers)
     with_it = fit_geometry(gauges.campaign(tmp_path, of, odd), of.robot, odd, ()).geometric
     assert with_it.model.names == alone.model.names
     assert np.abs((with_it.theta - alone.theta) / alone.std).max() < 1.0

@@ -275,7 +275,7 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(tmp_path: Path) ->
     own = varying.index(fit.model.coefficients[int(k[0])])
     half = rows.select(np.arange(0, len(rows), 2))
     np.testing.assert_array_equal(problem(fit.model, half).rows.phi[:, own], whole.rows.phi[::2, own])
-    fitted = rows.train & (rows.refers[:, 0] == "table")
+    fitted = rows.train & (rows.labels.refers[:, 0] == "table")
     u = fit.model.coefficients[int(k[0])].basis
     assert isinstance(fit.model.coefficients[int(k[0])], Coefficient)
     table = sight_table(fit.model.robot, rows.readings, fit.model.around.sights, np.zeros(3), whole.rows.tip)
@@ -297,7 +297,7 @@ def test_predictions_are_where_the_target_is_not_where_a_tracker_shows_it(tmp_pa
     case = replace(case, effect=case.effect | {"coefficients": 3e-3})
     outcome, _ = found(tmp_path, case)
     saved = calibration(outcome)
-    rows = outcome.measurements.select(outcome.measurements.block == 0)
+    rows = outcome.measurements.select(outcome.measurements.labels.block == 0)
     _, p = saved.final.poses(rows.readings, rows.conditions)
     shown = rows.observed[:, :3]
     # least squares of the one number that carries places to what the tracker shows

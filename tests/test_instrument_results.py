@@ -244,7 +244,7 @@ def test_what_no_row_tells_of_a_thing_is_redundant_with_the_rest_of_it() -> None
     outcome = found("distance")
     m, fit = outcome.measurements, outcome.stages[-1].fit
     train = m.select(m.train)
-    first = np.flatnonzero(train.refers[:, 0] == "w0")
+    first = np.flatnonzero(train.labels.refers[:, 0] == "w0")
     kept = np.setdiff1d(np.arange(len(train)), first[3:])  # three readings, four unknowns
     values = {(v.name, v.component): v for v in thing_values(replace(fit, weight=fit.weight[kept]), train.select(kept))}
     lost = [values["w0", c] for c in ("x", "y", "z", "offset")]
@@ -258,10 +258,10 @@ def test_what_no_row_tells_of_a_thing_is_redundant_with_the_rest_of_it() -> None
 def test_a_thing_that_only_held_out_rows_refer_to_is_scored_and_has_no_place(tmp_path: Path) -> None:
     arm = gauges.arm()
     data = gauges.rows(arm, gauges.distances(arm, anchors=4))
-    outcome = gauges.outcome(tmp_path, arm, replace(data, test=data.test | (data.refers[:, 0] == "w3")))
+    outcome = gauges.outcome(tmp_path, arm, replace(data, test=data.test | (data.labels.refers[:, 0] == "w3")))
     numbers = result_document(outcome)["instruments"]["anchors"]["w3"]
     assert [numbers[c]["value"] for c in ("x", "y", "z", "offset")] == [None] * 4
-    own = outcome.stages[-1].residual[data.refers[:, 0] == "w3"]
+    own = outcome.stages[-1].residual[data.labels.refers[:, 0] == "w3"]
     assert 0.5 * gauges.NOISE["distance"] < np.sqrt(np.mean(own**2)) < 2.0 * gauges.NOISE["distance"]
     lines = html.fromstring(join(list(instruments(outcome)))).xpath(
         '//table[starts-with(caption, "Anchors ")]/tbody/tr'
@@ -274,7 +274,7 @@ def test_an_effect_is_worth_at_a_place_held_out_what_a_fit_without_it_leaves_the
     """The points of that place follow each model: they are no part of either, and held by those of the other they would err."""
     arm = gauges.arm()
     data = gauges.rows(arm, gauges.points(arm, pairs=4))
-    held = np.char.startswith(data.refers[:, 0], "a3/")
+    held = np.char.startswith(data.labels.refers[:, 0], "a3/")
     elbow = arm.robot.names.index("elbow_joint")
     readings = data.readings.copy()
     readings[:, elbow] += 5e-4 * np.sin(readings[:, elbow])
@@ -370,14 +370,14 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
     m = outcome.measurements
     (tmp_path / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     saved = aridcal.load(tmp_path)
-    rows = np.arange(len(m)) if m.target is None else np.flatnonzero(m.target != "tip")
+    rows = np.arange(len(m)) if m.labels.target is None else np.flatnonzero(m.target != "tip")
     queries = pd.DataFrame(m.readings[rows], columns=outcome.robot.readings)
     if name == "targets":
         with pytest.raises(AridcalError, match="several targets"):
             saved.predict(queries)
-        queries["target"] = m.target[rows]
+        queries["target"] = m.labels.target[rows]
     roles = KINDS[m.blocks[0].kind].roles
-    labels = {role.name: m.refers[rows, k] for k, role in enumerate(roles)}
+    labels = {role.name: m.labels.refers[rows, k] for k, role in enumerate(roles)}
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a table that was measured may be asked about as it is
         told = saved.predict(queries.assign(**labels))
@@ -393,11 +393,11 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
 def test_predictions_are_where_the_target_truly_is_but_for_the_place_of_the_base(name: str) -> None:
     arm, data = measured(name)
     outcome = found(name)
-    own = np.flatnonzero(data.test if data.target is None else data.test & (data.target != "tip"))
+    own = np.flatnonzero(data.test if data.labels.target is None else data.test & (data.target != "tip"))
     told = outcome.at_target.places[own]
     true = arm.poses(data.readings[own])[1]
     if name == "targets":
-        far = data.target[own] == "far"
+        far = data.labels.target[own] == "far"
         true[far] = arm.poses(data.readings[own][far], gauges.REFLECTORS["far"])[1]
     a, b = told - told.mean(axis=0), true - true.mean(axis=0)
     U, _, Vt = np.linalg.svd(a.T @ b)
@@ -477,8 +477,8 @@ def test_every_thing_stands_in_the_report_with_its_rows_and_its_own_residual(nam
                     f'//table[starts-with(caption, "{role.name.capitalize()}s ")]/tbody/tr'
                 )
             }
-            for label in np.unique(m.refers[m.block == b, k]).tolist():
-                own = (m.block == b) & (m.refers[:, k] == label)
+            for label in np.unique(m.labels.refers[m.labels.block == b, k]).tolist():
+                own = (m.labels.block == b) & (m.labels.refers[:, k] == label)
                 part = columns(outcome.channels)[leading(m)[b]]
                 left = np.linalg.norm(outcome.stages[-1].residual[own & ~outcome.outlier][:, part], axis=1)
                 *_, rows, flagged, rms = lines[label]
@@ -496,7 +496,7 @@ def test_outliers_are_counted_by_block_and_by_thing() -> None:
     lines = html.fromstring(report).xpath('//table[starts-with(caption, "Rows of each block")]/tbody/tr')
     assert [line[5].text_content() for line in lines] == ["1", "2", "0"]
     points = html.fromstring(report).xpath('//table[starts-with(caption, "Points ")]/tbody/tr')
-    label = outcome.measurements.refers[3, 0]
+    label = outcome.measurements.labels.refers[3, 0]
     assert [row[5].text_content() for row in points if row[0].text_content() == label] == ["1"]
 
 

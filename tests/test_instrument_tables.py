@@ -77,7 +77,7 @@ def said(folder: Path, *arguments: Any, **keys: Any) -> str:
 
 
 def notices(data: Dataset) -> str:
-    return "\n".join(map(str, data.notices))
+    return "\n".join(map(str, data.origin.notices))
 
 
 # ---------------------------------------------------------------- what arrives
@@ -91,10 +91,19 @@ def test_every_number_and_label_of_a_kind_arrives(tmp_path: Path, kind: str) -> 
     np.testing.assert_array_equal(data.observed, rows[list(KINDS[kind].read)])
     for k, role in enumerate(KINDS[kind].roles):
         expected = {"camera": ["eye"] * ROWS, "board": ["board_on_world"] * ROWS}
-        np.testing.assert_array_equal(data.refers[:, k], expected.get(role.name) or rows[role.name])
-    assert (data.refers[:, len(KINDS[kind].roles) :] == "").all()
-    assert [b.kind for b in data.blocks] == [kind] and not data.block.any() and data.channels == KINDS[kind].channels
-    assert np.isnan(data.position).all() and data.rotation is None and data.target is None and not data.stale.any()
+        np.testing.assert_array_equal(data.labels.refers[:, k], expected.get(role.name) or rows[role.name])
+    assert (data.labels.refers[:, len(KINDS[kind].roles) :] == "").all()
+    assert (
+        [b.kind for b in data.blocks] == [kind]
+        and not data.labels.block.any()
+        and data.channels == KINDS[kind].channels
+    )
+    assert (
+        np.isnan(data.position).all()
+        and data.rotation is None
+        and data.labels.target is None
+        and not data.repeats.stale.any()
+    )
     assert set(data.covariates) == {"temperature"} and data.test.sum() == round(0.2 * ROWS)
     assert list(data.instruments.things) == [role.name for role in KINDS[kind].roles] and not data.instruments.world
 
@@ -102,7 +111,7 @@ def test_every_number_and_label_of_a_kind_arrives(tmp_path: Path, kind: str) -> 
 @pytest.mark.parametrize("kind", ["pose", "position"])
 def test_poses_alone_are_the_data_that_they_were(tmp_path: Path, kind: str) -> None:
     listed = load(write(tmp_path, [{"kind": kind, "file": "m.csv"}], {"m": table(kind)}))
-    assert listed.direct and not (listed.refers != "").any() and listed.target is None
+    assert listed.direct and not (listed.labels.refers != "").any() and listed.labels.target is None
     np.testing.assert_array_equal(listed.position, table(kind)[["x", "y", "z"]])
 
 
@@ -125,7 +134,7 @@ def test_units_belong_to_lengths_and_not_to_pixels(tmp_path: Path) -> None:
 
 def test_a_plane_without_readings_is_touched_and_named_after_its_block(tmp_path: Path) -> None:
     data = load(write(tmp_path, {"plane": table("plane").drop(columns=["plane", "reading"])}))
-    assert not data.observed.any() and set(data.refers[:, 0]) == {"plane"}
+    assert not data.observed.any() and set(data.labels.refers[:, 0]) == {"plane"}
     declared = {"planes": {"table": {"normal": [0, 0, 2], "offset": 0.5, "identify": False}}}
     data = load(write(tmp_path, {"plane": table("plane").drop(columns="plane")}, instruments=declared))
     plane = data.instruments.things["plane"]
@@ -147,21 +156,23 @@ def test_blocks_of_every_kind_are_one_data_set(tmp_path: Path) -> None:
         "plane_distance",
     } <= set(names)
     for number, (kind, rows) in enumerate(tables.items()):
-        own = data.select(data.block == number)
+        own = data.select(data.labels.block == number)
         np.testing.assert_array_equal(own.readings, rows[list(JOINTS)])
-        np.testing.assert_array_equal(own.line, np.arange(2, ROWS + 2))
-        assert {data.files[k].name for k in own.file} == {f"{kind}.csv"}
+        np.testing.assert_array_equal(own.origin.line, np.arange(2, ROWS + 2))
+        assert {data.origin.files[k].name for k in own.origin.file} == {f"{kind}.csv"}
         numbers = [name for name in KINDS[kind].read if name in rows]
         np.testing.assert_array_equal(own.observed[:, : len(numbers)], rows[numbers])
         assert np.isnan(own.observed[:, len(KINDS[kind].read) :]).all()
         assert own.test.sum() == round(0.2 * ROWS)
         assert np.isfinite(own.position).all() == (kind in ("pose", "position"))
         label = {"pixels": "tip", "inclination": "inclination"}.get(kind, "target")
-        assert own.target is not None and set(own.target) == {label}
+        assert own.labels.target is not None and set(own.target) == {label}
         assert np.isfinite(own.covariates["time"]).all() == (kind == "distance")
     assert data.rotation is not None and data.instruments.world
-    np.testing.assert_array_equal(data.rotation[data.block == 0].reshape(-1, 9), data.observed[data.block == 0, 3:])
-    assert np.unique(data.order).size == len(data)
+    np.testing.assert_array_equal(
+        data.rotation[data.labels.block == 0].reshape(-1, 9), data.observed[data.block == 0, 3:]
+    )
+    assert np.unique(data.origin.order).size == len(data)
 
 
 def test_rows_alike_in_joints_are_no_repeats_at_another_thing(tmp_path: Path) -> None:
@@ -172,21 +183,21 @@ def test_rows_alike_in_joints_are_no_repeats_at_another_thing(tmp_path: Path) ->
         "point": table("point").assign(rail=1.0, elbow=0.0, temperature=range(ROWS)),
     }
     data = load(write(tmp_path, tables))
-    first = data.configuration[(data.block == 0) & (data.line < 6)]
+    first = data.repeats.configuration[(data.labels.block == 0) & (data.origin.line < 6)]
     assert first[0] == first[1] != first[2] == first[3]
-    assert not set(data.configuration[data.block == 0]) & set(data.configuration[data.block == 1])
-    assert len(set(data.configuration[data.block == 1])) == 3
+    assert not set(data.repeats.configuration[data.labels.block == 0]) & set(data.configuration[data.block == 1])
+    assert len(set(data.repeats.configuration[data.labels.block == 1])) == 3
 
 
 def test_several_targets_are_told_apart_and_one_is_not(tmp_path: Path) -> None:
     rows = table("position").assign(target=["left", "right"] * (ROWS // 2))
     data = load(write(tmp_path, {"position": rows}))
-    np.testing.assert_array_equal(data.target, rows.target)
+    np.testing.assert_array_equal(data.labels.target, rows.target)
     assert len(data.blocks) == 1 and data.instruments.world and set(data.covariates) == set()
     mixed = load(write(tmp_path, {"position": rows, "distance": table("distance")}))
-    assert set(mixed.target[mixed.block == 1]) == {"target"}
+    assert set(mixed.labels.target[mixed.labels.block == 1]) == {"target"}
     alike = load(write(tmp_path, {"point": table("point"), "distance": table("distance")}))
-    assert alike.target is None
+    assert alike.labels.target is None
 
 
 def test_weights_of_one_block_leave_those_of_others_alone(tmp_path: Path) -> None:
@@ -198,11 +209,11 @@ def test_weights_of_one_block_leave_those_of_others_alone(tmp_path: Path) -> Non
     ]
     data = load(write(tmp_path, blocks, {"distance": table("distance"), "position": rows}))
     assert data.relative is not None and data.relative.shape == (2 * ROWS, 4)
-    assert (data.relative[data.block == 0] == 1).all() and (data.relative[:, 0] == 1).all()
-    own = (data.block == 1) & data.train
+    assert (data.relative[data.labels.block == 0] == 1).all() and (data.relative[:, 0] == 1).all()
+    own = (data.labels.block == 1) & data.train
     np.testing.assert_allclose(np.sqrt(np.mean(data.relative[own, 1:] ** 2)), 1, rtol=1e-12)
     assert data.sigma[0] == 2e-4 and data.sigma[1] == pytest.approx(
-        np.sqrt(np.mean(std[data.train[data.block == 1]] ** 2))
+        np.sqrt(np.mean(std[data.train[data.labels.block == 1]] ** 2))
     )
 
 
@@ -216,14 +227,14 @@ def test_a_label_is_never_left_without_training_rows_by_the_draw(tmp_path: Path)
     rows = table("position", 40).assign(target=["a"] * 39 + ["b"])
     for seed in range(6):
         data = load(write(tmp_path, {"position": rows}), seed=seed)
-        assert data.test.any() and not data.test[data.target == "b"].any()
+        assert data.test.any() and not data.test[data.labels.target == "b"].any()
 
 
 def test_a_table_may_keep_a_label_for_the_test(tmp_path: Path) -> None:
     rows = table("point").assign(split=lambda t: np.where(t.point == "c", "test", "train"))
     data = load(write(tmp_path, {"point": rows}))
     np.testing.assert_array_equal(data.test, rows.point == "c")
-    assert data.split_given and data.instruments.things["point"].names == ("a", "b", "c")
+    assert data.origin.split_given and data.instruments.things["point"].names == ("a", "b", "c")
 
 
 def test_images_of_one_configuration_stay_together(tmp_path: Path) -> None:
@@ -309,7 +320,7 @@ def test_a_board_has_known_markers_and_a_place_that_is_sought(tmp_path: Path) ->
     board, marker = data.instruments.things["board"], data.instruments.things["marker"]
     assert board.free.all() and np.isnan(board.start).all() and not data.instruments.world
     assert marker.names == ("a", "b") and not marker.free.any() and marker.start[1].tolist() == [0.1, 0, 0]
-    assert {r.why for r in data.refused} == {"no such marker in markers.csv"} and len(data.refused) == ROWS // 3
+    assert {r.why for r in data.origin.refused} == {"no such marker in markers.csv"} and len(data.refused) == ROWS // 3
     keys["markers"] |= {"xyz": [0, 0, 1], "rpy": [0, 0, np.pi / 2], "identify": False}
     data = load(write(tmp_path, {"pixels": table("pixels")}, instruments=keys))
     board = data.instruments.things["board"]
@@ -337,17 +348,17 @@ def test_rows_that_no_instrument_reads_are_refused_by_name(tmp_path: Path) -> No
         rows = table(kind).astype(object)
         rows.loc[3, column] = value
         data = load(write(tmp_path, {kind: rows}))
-        assert len(data) == ROWS - 1 and [(r.row, r.column) for r in data.refused] == [(5, column)], kind
-        assert why in data.refused[0].why
+        assert len(data) == ROWS - 1 and [(r.row, r.column) for r in data.origin.refused] == [(5, column)], kind
+        assert why in data.origin.refused[0].why
     rows = table("inclination")
     rows.loc[3, ["gx", "gy", "gz"]] = 0.0
-    assert [r.row for r in load(write(tmp_path, {"inclination": rows})).refused] == [5]
+    assert [r.row for r in load(write(tmp_path, {"inclination": rows})).origin.refused] == [5]
 
 
 def test_copies_are_refused_but_not_of_another_label(tmp_path: Path) -> None:
     rows = pd.concat([table("point"), table("point")[:2], table("point")[2:4].assign(point="d")])
     data = load(write(tmp_path, {"point": rows}))
-    assert [(r.row, r.why) for r in data.refused] == [
+    assert [(r.row, r.why) for r in data.origin.refused] == [
         (ROWS + 2, "identical to line 2"),
         (ROWS + 3, "identical to line 3"),
     ]
@@ -358,7 +369,9 @@ def test_labels_that_tell_nothing_of_the_arm_are_told(tmp_path: Path) -> None:
     rows.loc[0, "point"] = "lone"
     campaign = write(tmp_path, {"point": rows})
     assert "point lone: with so few rows they tell where it is" in notices(load(campaign))
-    assert not load(campaign, files=[rows], fitted=False).notices, "of rows that are scored only nothing is asked"
+    assert not load(campaign, files=[rows], fitted=False).origin.notices, (
+        "of rows that are scored only nothing is asked"
+    )
     tied = {"lengths": [{"between": ["lone", "a"], "length": 0.1}]}
     assert "lone: with" not in notices(load(write(tmp_path, {"point": rows}, instruments=tied)))
 
@@ -371,7 +384,7 @@ def test_a_second_days_table_goes_to_the_block_whose_columns_it_has(tmp_path: Pa
     for number, kind in enumerate(kinds):
         data = load(campaign, files=[table(kind, seed=1)], fitted=False)
         assert data.blocks == every.blocks and data.channels == every.channels
-        assert (data.block == number).all() and len(data) == ROWS
+        assert (data.labels.block == number).all() and len(data) == ROWS
         np.testing.assert_array_equal(data.readings, table(kind, seed=1)[list(JOINTS)])
     with pytest.raises(AridcalError, match="fit none of the blocks distance, point, pose"):
         load(campaign, files=[table("pixels")], fitted=False)
@@ -381,9 +394,9 @@ def test_tables_of_a_second_day_serve_each_its_own_block(tmp_path: Path) -> None
     campaign = write(tmp_path, {kind: table(kind) for kind in ("distance", "point", "pose")})
     table("pose", seed=1).to_csv(tmp_path / "later.csv", index=False)
     data = load(campaign, files=[tmp_path / "later.csv", table("distance", seed=1)], fitted=False)
-    assert np.bincount(data.block).tolist() == [ROWS, 0, ROWS]
-    np.testing.assert_array_equal(data.observed[data.block == 0, 0], table("distance", seed=1)["distance"])
-    np.testing.assert_array_equal(data.position[data.block == 2], table("pose", seed=1)[["x", "y", "z"]])
+    assert np.bincount(data.labels.block).tolist() == [ROWS, 0, ROWS]
+    np.testing.assert_array_equal(data.observed[data.labels.block == 0, 0], table("distance", seed=1)["distance"])
+    np.testing.assert_array_equal(data.position[data.labels.block == 2], table("pose", seed=1)[["x", "y", "z"]])
 
 
 def test_a_second_days_table_that_fits_two_blocks_is_refused_until_their_columns_differ(tmp_path: Path) -> None:
@@ -396,9 +409,9 @@ def test_a_second_days_table_that_fits_two_blocks_is_refused_until_their_columns
     wires[1]["columns"] = {"distance": "wire"}
     tables["right"] = tables["right"].rename(columns={"distance": "wire"})
     campaign = write(tmp_path, wires, tables)
-    assert set(load(campaign, files=[later], fitted=False).block) == {0}
+    assert set(load(campaign, files=[later], fitted=False).labels.block) == {0}
     table("distance", seed=3).rename(columns={"distance": "wire"}).to_csv(later, index=False)
-    assert set(load(campaign, files=[later], fitted=False).block) == {1}
+    assert set(load(campaign, files=[later], fitted=False).labels.block) == {1}
 
 
 MARKERS = "marker,x,y,z\na,0,0,0\nb,0.1,0,0\nc,0.2,0,0\n"

@@ -45,7 +45,7 @@ class Bench:
         p = p + 1e-6 * number[:, None]
         R = Rotation.from_rotvec(3e-5 * rng.normal(size=p.shape) + [1e-4, 0.0, -2e-4]).as_matrix() @ R
         rows = robots.measured(truth.model.robot, q, p, R if kind == "pose" else None)
-        held_out = np.isin(rows.configuration, [1, 4])
+        held_out = np.isin(rows.repeats.configuration, [1, 4])
         rows = replace(rows, test=held_out, covariates={"time": PERIOD * np.arange(len(q))} | sides)
         mixed = rng.permutation(len(q))
         self.rows = rows.select(mixed)
@@ -185,7 +185,7 @@ def test_without_held_out_poses_all_judge() -> None:
     found = bench.evaluated(replace(bench.rows, test=np.zeros(len(bench.rows), dtype=bool)))
     assert found.worst(found.nominal, "AP") == max(found.nominal["AP"])
     assert found.worst(found.nominal, "AD") == max(abs(found.nominal["AD"]))
-    alone = bench.evaluated(replace(bench.rows, test=bench.rows.configuration == 0))
+    alone = bench.evaluated(replace(bench.rows, test=bench.rows.repeats.configuration == 0))
     assert alone.worst(alone.nominal, "AD") == found.worst(found.nominal, "AD")  # one pose has no distance
 
 
@@ -204,7 +204,7 @@ def test_figures_do_not_depend_on_the_instruments_axes() -> None:
 def test_fewer_cycles_or_poses_than_the_standard_asks_for_are_told(cycles: int, poses: int, enough: bool) -> None:
     assert (ASKED_CYCLES, ASKED_POSES) == (30, 5)
     bench = Bench(cycles=cycles)
-    used = np.isin(bench.rows.configuration, np.arange(poses))
+    used = np.isin(bench.rows.repeats.configuration, np.arange(poses))
     bench.commands = [(R[used], p[used]) for R, p in bench.commands]
     assert bench.evaluated(bench.rows.select(used)).enough is enough
 
@@ -229,7 +229,7 @@ def test_copies_and_flagged_rows_are_no_cycles() -> None:
     """A reading that froze would make any repeatability perfect; a lost reflector any accuracy bad."""
     bench = Bench()
     rows = bench.rows
-    own = np.flatnonzero(rows.configuration == 0)
+    own = np.flatnonzero(rows.repeats.configuration == 0)
     frozen, rotation = rows.position.copy(), rows.rotation.copy()
     frozen[own[1:20]], rotation[own[1:20]] = frozen[own[0]], rotation[own[0]]
     frozen[own[25]] += 0.05
@@ -237,7 +237,7 @@ def test_copies_and_flagged_rows_are_no_cycles() -> None:
     outlier[own[25]] = True
     found = bench.evaluated(robots.placed(rows, position=frozen, rotation=rotation), outlier)
     assert (found.copies, found.flagged) == (19, 1)
-    pose = next(k for k, group in enumerate(found.cycles) if rows.configuration[group[0]] == 0)
+    pose = next(k for k, group in enumerate(found.cycles) if rows.repeats.configuration[group[0]] == 0)
     assert found.counts[pose] == CYCLES - 20
     assert found.final["RP"][pose] > 0.5 * np.median(found.final["RP"])
 
@@ -247,17 +247,17 @@ def test_what_rows_cannot_tell_is_not_told() -> None:
     bare = replace(bench.rows, covariates={})
     assert np.isnan(bench.evaluated(bare).final["dAP"]).all()
     assert np.isnan(bench.evaluated(bare).final["vAP"]).all()
-    guessed = replace(bench.rows, derived=SIDES)  # directions that the order of rows suggests are no knowledge
+    guessed = bench.rows.with_origin(derived=SIDES)  # directions that the order of rows suggests are no knowledge
     assert np.isnan(bench.evaluated(guessed).final["vAP"]).all()
     assert not np.isnan(bench.evaluated(guessed).final["dAP"]).any()
 
 
 def test_distances_are_those_of_one_station() -> None:
     bench = Bench()
-    station = np.where(bench.rows.configuration < 2, "north", "south")
+    station = np.where(bench.rows.repeats.configuration < 2, "north", "south")
     base = bench.bases[0][0][1]
     bench.bases = [(("north", base), ("south", base))] * 2
-    found = bench.evaluated(replace(bench.rows, station=station))
+    found = bench.evaluated(bench.rows.with_labels(station=station))
     at = [str(station[group[0]]) for group in found.cycles]
     assert len(found.pairs) == 1 + 6  # of two poses, and of four
     assert all(at[a] == at[b] for a, b in found.pairs)
@@ -279,7 +279,7 @@ def test_the_document_has_every_figure_with_its_unit_and_line() -> None:
     assert len(written["distances"]) == POSES * (POSES - 1) // 2
     for k, pose in enumerate(written["poses"]):
         group = bench.found.cycles[k]
-        assert pose["row"] == bench.rows.line[group[0]]
+        assert pose["row"] == bench.rows.origin.line[group[0]]
         assert pose["split"] == ("test" if bench.rows.test[group[0]] else "train")
         assert pose["hours"] == pytest.approx((CYCLES - 1) * POSES * PERIOD / 3600)
         assert pose["final"]["AP_mm"] == pytest.approx(1e3 * bench.found.final["AP"][k])

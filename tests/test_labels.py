@@ -55,14 +55,14 @@ def rows_of(
     R, p = model.poses(np.ones(1), model.rows(q, {"off": off}))
     R = Rotation.from_rotvec(NOISE * rng.standard_normal(p.shape)).as_matrix() @ R
     made = robots.measured(robot, q, p + NOISE * rng.standard_normal(p.shape), R)
-    return replace(robots.declared(made, NOISE, NOISE), station=label)
+    return robots.declared(made, NOISE, NOISE).with_labels(station=label)
 
 
 def calibrated(rows: Dataset, per: str = "", **sections: object) -> CalibratedArm:
     """As `identify` does it."""
     frames = {} if not per else {"frames": {per: {"per": "station"}}}
     asked = robots.campaign("pose", parameters={"set": "doty"}, **(frames | sections))
-    labels = tuple(sorted(set(rows.station.tolist()))) if per and rows.station is not None else ()
+    labels = tuple(sorted(set(rows.labels.station.tolist()))) if per and rows.labels.station is not None else ()
     return calibrated_arm(asked, robots.arid(), rows, labels, fit_constants(asked, robots.arid(), rows, labels), SILENT)
 
 
@@ -86,7 +86,7 @@ def halls(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path, np.n
     table = pd.DataFrame(rows.readings, columns=list(JOINTS))
     table[["x", "y", "z"]] = rows.position
     table[["qx", "qy", "qz", "qw"]] = Rotation.from_matrix(rows.rotation).as_quat()
-    table["square"] = rows.station
+    table["square"] = rows.labels.station
     table.to_csv(folder / "rows.csv", index=False)
     keys = {
         "format": 1,
@@ -130,9 +130,9 @@ def test_predictions_follow_the_label_and_one_never_seen_has_the_one_model(
 ) -> None:
     outcome, folder, _ = halls
     saved, fit, m = SavedModel.load(folder / "calibration.yaml"), outcome.stage("final").fit, outcome.measurements
-    table = pd.DataFrame(m.readings[:40], columns=list(JOINTS)).assign(square=m.station[:40])
+    table = pd.DataFrame(m.readings[:40], columns=list(JOINTS)).assign(square=m.labels.station[:40])
     made = predict(saved, read_query(saved, table))
-    expected = fit.model.poses(fit.theta, fit.model.rows(m.readings[:40], None, m.station[:40]))[1]
+    expected = fit.model.poses(fit.theta, fit.model.rows(m.readings[:40], None, m.labels.station[:40]))[1]
     np.testing.assert_allclose(made[["x", "y", "z"]], expected, atol=1e-12)
     assert not made["extrapolates"].any()
     one = fit.model.with_coefficients([c for c in fit.model.coefficients if c.basis.constant])
@@ -179,7 +179,7 @@ def test_each_label_s_urdf_alone_predicts_its_rows(halls: tuple[Outcome, Path, n
         for f in ("world_base", "tip_target")
     )
     m, final = outcome.measurements, outcome.stage("final")
-    assert m.station is not None
+    assert m.labels.station is not None
     for entry in index.values():
         robot = parse_robot((folder / "regions" / entry["urdf"]).read_bytes(), "flange")
         R, p = tip_frames(robot, m.readings)
@@ -189,7 +189,7 @@ def test_each_label_s_urdf_alone_predicts_its_rows(halls: tuple[Outcome, Path, n
         )[1]
         apart = np.linalg.norm(predicted - whole, axis=1)
         assert np.sqrt(np.mean(apart**2)) < 0.2 * NOISE  # at all postures, also those of other labels
-        assert entry["rows"]["all"] == (m.station == entry["label"]).sum()
+        assert entry["rows"]["all"] == (m.labels.station == entry["label"]).sum()
     assert index["region_06"]["rows"] == {"all": 0, "held_out": 0}
     regions = Calibration(calibration(outcome), outcome).regions
     assert list(regions["label"]) == [*sorted(LABELS), ""]
@@ -246,7 +246,7 @@ def test_a_label_of_three_rows_is_believed_as_far_as_they_go(size: float) -> Non
     assert std[0] > 1.7 * std[1:].max()  # its uncertainty says how few they are
     assert (np.abs(apart @ (said - zeros)) < 3.5 * std).all()
     # one row of normal equations at the optimum: what the rows of a label pull is what its prior holds
-    J = fit.model.jacobian(fit.theta, fit.model.rows(rows.readings, None, rows.station))[2]
+    J = fit.model.jacobian(fit.theta, fit.model.rows(rows.readings, None, rows.labels.station))[2]
     left = np.concatenate([fit.residual[:, :3], fit.residual[:, 3:]], axis=1) / NOISE
     mine = label == "s0"
     pulled = float(np.sum(J[mine][:, :, own[0]] / NOISE * left[mine]))

@@ -79,9 +79,9 @@ def test_rows_of_an_anchor_that_only_one_fold_knows_are_not_counted(tmp_path: Pa
     """Attack: eight rows of one wire, left out together: they would be predicted from a place that they alone told."""
     arm = gauges.arm(seed=2)
     rows = gauges.rows(arm, gauges.distances(arm), declared=True)
-    lone = rows.refers[:, 0] == "w2"
+    lone = rows.labels.refers[:, 0] == "w2"
     rows = rows.select(~lone | (np.cumsum(lone) <= 8))
-    lone = rows.refers[:, 0] == "w2"
+    lone = rows.labels.refers[:, 0] == "w2"
     first = fit_geometry(gauges.campaign(tmp_path, arm, rows), arm.robot, rows, ()).geometric
     found = fit(problem(first.model, rows), first.theta, np.ones(len(rows)))
     told = folds(found, rows, rows_of(found, rows))

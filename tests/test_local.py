@@ -75,7 +75,7 @@ def test_sums_over_rows_are_those_of_all_columns(kind: str) -> None:
     # And by hand, from the columns themselves.
     _, J = wide.linearised(theta)
     for k, part in enumerate(columns(question.channels)):
-        own = J[:, part] * np.sqrt(found.weight * question.data.share)[:, None, None]
+        own = J[:, part] * np.sqrt(found.weight * question.data.repeats.share)[:, None, None]
         flat = own.reshape(-1, len(theta))
         np.testing.assert_allclose(found.equations.AA[k], flat.T @ flat, rtol=1e-11, atol=1e-9)
 

@@ -53,7 +53,7 @@ def test_a_knock_after_midnight_is_found_where_it_was(written: str, tmp_path: Pa
     in_rows = found.measurements.as_read
     before = (of < steps[0].numbers[0])[in_rows]
     assert np.mean(before == ~late) > 0.95
-    assert any("passes midnight" in str(notice) for notice in found.measurements.notices)
+    assert any("passes midnight" in str(notice) for notice in found.measurements.origin.notices)
 
 
 def test_a_query_at_a_time_after_midnight_is_of_the_machine_then(tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ def test_gross_errors_stay_outliers_beside_a_bump(tmp_path: Path) -> None:
     rows.to_csv(tmp_path / "measurements.csv", index=False, float_format="%.17g")
     again = identify(tmp_path / "campaign.yaml")
     assert named(again) == named(outcome) == [("joint_map", robots.ur10().names[JOINT])]
-    np.testing.assert_array_equal(np.sort(again.measurements.line[again.outlier]) - 2, wild)
+    np.testing.assert_array_equal(np.sort(again.measurements.origin.line[again.outlier]) - 2, wild)
 
 
 def test_a_declared_map_stays_whatever_else_would_fit(tmp_path: Path) -> None:

@@ -291,8 +291,8 @@ def repeated(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     wires, first = again(gauges.distances(arm, 2, 60), arm, 3, 30)
     marks = gauges.pixels(arm, 20)
     data = gauges.rows(arm, wires, marks)
-    data = replace(data, configuration=np.concatenate([first, len(first) + np.arange(len(marks.q))]))
-    test = np.isin(data.configuration, np.random.default_rng(0).choice(len(data), len(data) // 5))
+    data = data.with_repeats(configuration=np.concatenate([first, len(first) + np.arange(len(marks.q))]))
+    test = np.isin(data.repeats.configuration, np.random.default_rng(0).choice(len(data), len(data) // 5))
     return gauges.outcome(tmp_path_factory.mktemp("repeated"), arm, replace(data, test=test))
 
 
@@ -319,7 +319,7 @@ def test_marks_of_one_image_are_no_repeats_and_a_second_image_is(tmp_path: Path)
     assert repeats(one, np.zeros((len(one), 2))) is None
     image = np.unique(one.readings, axis=0, return_inverse=True)[1].reshape(-1)
     two, first = again(gauges.pixels(arm, 20), arm, 1, 40)
-    data = replace(gauges.rows(arm, two), configuration=first)
+    data = gauges.rows(arm, two).with_repeats(configuration=first)
     found = repeats(data, 0.3 * np.random.default_rng(0).normal(size=(len(data), 2)))
     assert found is not None and image.max() == 19
     assert (found.groups, found.rows) == (40, 80)
@@ -333,7 +333,7 @@ def test_several_reflectors_have_a_repeatability_in_millimetres() -> None:
     number[60:120] = number[
         :60
     ]  # the far reflector's rows would repeat the near one's: another target is another thing
-    data = replace(data, configuration=np.concatenate([np.arange(120) // 2, number[120:]]))
+    data = data.with_repeats(configuration=np.concatenate([np.arange(120) // 2, number[120:]]))
     r = np.full((len(data), 4), np.nan)
     r[:120, :3], r[120:, 3] = 1e-4 * np.random.default_rng(0).normal(size=(120, 3)), 0.0
     found = repeats(data, r)
@@ -377,8 +377,8 @@ def test_another_days_wire_is_set_beside_this_days_wire_alone(tmp_path: Path) ->
     arm = gauges.arm(3)
     every = gauges.rows(arm, gauges.points(arm), gauges.distances(arm))
     outcome = gauges.outcome(tmp_path, arm, every)
-    day = outcome.measurements.select(outcome.measurements.block == 1)
-    residual = {s.name: s.residual[outcome.measurements.block == 1] for s in outcome.stages}
+    day = outcome.measurements.select(outcome.measurements.labels.block == 1)
+    residual = {s.name: s.residual[outcome.measurements.labels.block == 1] for s in outcome.stages}
     found = Verification("later.csv", day, residual, np.zeros(len(day), dtype=bool), None)
     holds = another_day(replace(outcome, verification=found))
     mask = outcome.parts()["test"]

@@ -236,7 +236,7 @@ def of_markers(n: int) -> Dataset:
     rows = dataset(("a",), ("revolute",), np.linspace(0, 1, n)[:, None], np.full((n, 3), np.nan))
     refers = np.array([("eye", "board", str(k % 9)) for k in range(n)])
     block = Block("pixels", "pixels", (PIXEL,), (None,))
-    return replace(rows, blocks=(block,), block=np.zeros(n, dtype=int), refers=refers)
+    return replace(rows, blocks=(block,)).with_labels(block=np.zeros(n, dtype=int), refers=refers)
 
 
 def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:
@@ -290,5 +290,5 @@ def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_i
     seen, at = largest(views[1].white)
     chance = np.array([largest(white)[0] for white in shuffled(views)[1]])
     found = _change(views, rows_, np.arange(n), "", SILENT)
-    assert f"between rows {rows_.line[at - 1]} and {rows_.line[at]}," in found.what
+    assert f"between rows {rows_.origin.line[at - 1]} and {rows_.origin.line[at]}," in found.what
     assert found.share == pytest.approx((seen - chance.mean()) / float(np.sum(views[1].white ** 2)), abs=1e-12)

@@ -245,7 +245,7 @@ def load(robot: Robot, campaign: Campaign, table: Path | pd.DataFrame) -> Datase
 
 def as_written(data: Dataset) -> Dataset:
     """The rows in the order of the file: they are kept in one of their own."""
-    return data.select(np.argsort(data.line))
+    return data.select(np.argsort(data.origin.line))
 
 
 @examples(30)

@@ -186,7 +186,7 @@ def test_rows_that_moved_alike_are_no_outliers_and_a_wild_one_stays_one(tmp_path
     ((kind, where, row),) = happened(outcome)
     assert (kind, where) == ("shift", "world_base")
     assert abs(row - 14) <= 1
-    assert list(outcome.measurements.line[outcome.outlier]) == [100 + 2]
+    assert list(outcome.measurements.origin.line[outcome.outlier]) == [100 + 2]
     assert machine.miss(calibration(outcome)) < 0.6 * SIGMA
 
 
@@ -345,8 +345,8 @@ def test_a_column_that_is_called_like_the_order_of_rows_is_no_covariate(tmp_path
     robot = robots.ur10()
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
     assert rows.covariates == {}
-    np.testing.assert_array_equal(rows.conditions["file row"], rows.line)
-    assert any("rename the column" in str(notice) for notice in rows.notices)
+    np.testing.assert_array_equal(rows.conditions["file row"], rows.origin.line)
+    assert any("rename the column" in str(notice) for notice in rows.origin.notices)
 
 
 def test_the_simulator_makes_shifts_that_are_found(tmp_path: Path) -> None:

@@ -84,7 +84,7 @@ def written(folder: Path, made: Scenario) -> tuple[Dataset, dict]:
     campaign = load_campaign(out / "campaign.yaml")
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, None, campaign.limits.urdf)
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
-    assert rows.refused == ()
+    assert rows.origin.refused == ()
     return rows, json.loads((out / "truth.json").read_text())
 
 
@@ -113,8 +113,8 @@ def misfits(rows: Dataset, truth: dict, on_tip: bool = True) -> dict[str, np.nda
     world = frames.pop("world_base")
     found = {}
     for number, block in enumerate(rows.blocks):
-        own = rows.select(rows.block == number)
-        label = own.target if own.target is not None else np.full(len(own), next(iter(frames)))
+        own = rows.select(rows.labels.block == number)
+        label = own.labels.target if own.target is not None else np.full(len(own), next(iter(frames)))
         kind = KINDS[block.kind]
         R, p = np.empty((len(own), 3, 3)), np.empty((len(own), 3))
         for name in np.unique(label):
@@ -123,7 +123,9 @@ def misfits(rows: Dataset, truth: dict, on_tip: bool = True) -> dict[str, np.nda
             model = Model(robot, tuple(Coefficient(*n) for n in names), ((None, world),), ((None, tip),))
             R[here], p[here] = model.poses(np.array([*truth["parameters"].values()]), model.rows(own.readings[here]))
         states = [
-            np.array([state(role.name, truth["instruments"][role.name][label], on_tip) for label in own.refers[:, k]])
+            np.array(
+                [state(role.name, truth["instruments"][role.name][label], on_tip) for label in own.labels.refers[:, k]]
+            )
             for k, role in enumerate(labelled(block.kind))
         ] or [np.zeros((len(own), role.size)) for role in kind.roles]
         found[block.name] = kind.residual(R, p, own.observed[:, : len(kind.read)], states)
@@ -195,8 +197,8 @@ def test_targets_are_measured_in_turn(tmp_path: Path) -> None:
     tips = {"low": {"xyz": [0, 0, 0.1]}, "high": {"xyz": [0.1, 0, 0.2]}}
     frames = TRUTH["frames"] | {"targets": tips}
     rows, truth = written(tmp_path, scenario(tmp_path, {"kind": "point"}, {}, frames=frames))
-    assert rows.target is not None
-    pairs = set(zip(rows.target.tolist(), rows.refers[:, 0].tolist(), strict=True))
+    assert rows.labels.target is not None
+    pairs = set(zip(rows.labels.target.tolist(), rows.labels.refers[:, 0].tolist(), strict=True))
     assert len(pairs) == 2 * 4
     np.testing.assert_allclose(misfits(rows, truth)["point"], 0.0, atol=1e-12)
 
@@ -264,9 +266,9 @@ def test_outliers_are_named_by_block_and_stand_out(tmp_path: Path) -> None:
     rows, truth = written(tmp_path, made)
     residuals = misfits(rows, truth)
     for number, lines in enumerate(truth["outliers"]["rows"]):
-        own = rows.select(rows.block == number)
+        own = rows.select(rows.labels.block == number)
         far = np.linalg.norm(residuals[own.blocks[number].name], axis=1) > 50e-4
-        assert sorted(own.line[far].tolist()) == lines
+        assert sorted(own.origin.line[far].tolist()) == lines
         assert len(lines) == 3
 
 

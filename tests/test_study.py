@@ -103,10 +103,10 @@ def test_the_error_against_the_truth_is_what_another_road_gives(tmp_path: Path) 
     m = outcome.measurements
     judge = m.test & ~outcome.outlier
     predicted = m.position[judge] - outcome.stages[-1].residual[judge, :3]
-    rms = np.sqrt(np.mean(np.sum((true[m.line[judge] - 2] - predicted) ** 2, axis=1)))
+    rms = np.sqrt(np.mean(np.sum((true[m.origin.line[judge] - 2] - predicted) ** 2, axis=1)))
     assert row["true_rms_mm"] == pytest.approx(1e3 * rms, rel=1e-9)
     assert row["true_rms_mm"] < 1e3 * np.sqrt(
-        np.mean(np.sum((m.position[judge] - true[m.line[judge] - 2]) ** 2, axis=1))
+        np.mean(np.sum((m.position[judge] - true[m.origin.line[judge] - 2]) ** 2, axis=1))
     )
 
 
@@ -174,9 +174,9 @@ def test_halves_keep_all_held_out_rows_and_half_of_the_others(campaign: Path) ->
     whole = identify(campaign).measurements
     for seed in range(2):
         rows = identify(campaign, choose=half(seed)).measurements
-        assert set(rows.line[rows.test]) == set(whole.line[whole.test])
+        assert set(rows.origin.line[rows.test]) == set(whole.line[whole.test])
         sizes.append(int(rows.train.sum()))
-        kept.append(frozenset(rows.line[rows.train].tolist()))
+        kept.append(frozenset(rows.origin.line[rows.train].tolist()))
     assert sizes == [math.ceil(whole.train.sum() / 2)] * 2
     assert len(set(kept)) == 2
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import runpy
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -117,7 +116,7 @@ def test_the_scene_has_targets_at_the_hand_and_tells_the_arms_apart(two_arms: ar
     for k, row in enumerate(rows.tolist()):
         pin.framesForwardKinematics(model, data, drawn.readings[k])
         torso, left = (data.oMf[model.getFrameId(name)] for name in ("torso", "left_hand"))
-        expected = torso.actInv(left.act(places[str(two_arms.outcome.measurements.target[row])]))
+        expected = torso.actInv(left.act(places[str(two_arms.outcome.measurements.labels.target[row])]))
         assert np.linalg.norm(in_base[k] - expected) < 0.02  # the robot was built some millimetres otherwise
     assert limb_names(drawn.nominal) == ("left_hand", "right_hand")
     for joint in list(model.names)[1:]:
@@ -145,8 +144,8 @@ def test_marks_of_several_limbs_in_one_image_take_their_own_paths(talos: Path) -
     wall = rows.instruments.things["board"].names.index("board_on_world")
     states["board"][wall] = [0.7, 0.0, 0.9, *np.eye(3).ravel()]
     model = Model(robot, (Coefficient("head_1_joint", "pitch"),), tip_target=(("tip", pin.SE3.Identity()),),
-                  instruments=rows.instruments, routes=rows.routes, states=states)  # fmt: skip
-    asked = problem(model, replace(rows, target=np.full(len(rows), "tip")))
+                  instruments=rows.instruments, routes=rows.labels.routes, states=states)  # fmt: skip
+    asked = problem(model, rows.with_labels(target=np.full(len(rows), "tip")))
     np.testing.assert_allclose(asked.linearised(np.zeros(1))[0], asked.residual(np.zeros(1)), atol=1e-9)
 
 

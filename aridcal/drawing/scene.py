@@ -373,14 +373,14 @@ def scene(outcome: Outcome) -> Scene:
     as_read = m.as_read  # they are stepped through as they stand in the files
     some, left_out = thinned(outcome.outlier[as_read])
     rows = as_read[some]
-    station, target = (None if labels is None else labels[rows] for labels in (m.station, m.target))
+    station, target = (None if labels is None else labels[rows] for labels in (m.labels.station, m.labels.target))
     conditions = {name: values[rows] for name, values in m.conditions.items()}
     world = fit.model.rows(m.readings[rows], conditions, station, target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
     calibrated = same_chain(robot, stage_urdf(outcome.stage("geometric").fit))
     # Where a path starts at a link, that link's frame is the world of its rows.
-    route = None if m.route is None else m.route[rows]
-    R, p, linked = start_frames(calibrated, m.readings[rows], m.routes, route)
+    route = None if m.labels.route is None else m.labels.route[rows]
+    R, p, linked = start_frames(calibrated, m.readings[rows], m.labels.routes, route)
     T_world_base, back = bases[world], R[linked].transpose(0, 2, 1)
     T_world_base[linked, :3, :3] = back
     T_world_base[linked, :3, 3] = -np.einsum("nij,nj->ni", back, p[linked])
@@ -402,7 +402,7 @@ def scene(outcome: Outcome) -> Scene:
         predicted={name: measured - shift[rows] for name, shift in shifts.items()},
         test=m.test[rows],
         outlier=outcome.outlier[rows],
-        line=m.line[rows],
+        line=m.origin.line[rows],
         gravity=np.atleast_2d(fit.model.around.gravity)[0],
         moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
         places=np.zeros((0, 3)) if told is None else told.places,

@@ -73,7 +73,7 @@ def who_and_what(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, 
 
 def _date_of_files(m: Dataset) -> str:
     """That nobody stated a date, and that of the newest file of measurements: a copy has the date of the copying."""
-    times = [path.stat().st_mtime for path in m.files if path.is_file()]
+    times = [path.stat().st_mtime for path in m.origin.files if path.is_file()]
     if not times:
         return NOT_STATED
     return f"{NOT_STATED} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"

@@ -40,8 +40,8 @@ def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], d
     """Labels of the frames at one end of the chain: stations, targets, or none where one frame serves all rows."""
     if settings.per == "station":
         return labels
-    if where == "tip_target" and data.target is not None:
-        return tuple(sorted({str(t) for t in data.target}))
+    if where == "tip_target" and data.labels.target is not None:
+        return tuple(sorted({str(t) for t in data.labels.target}))
     return (None,)
 
 
@@ -109,9 +109,9 @@ def unused_links(robot: Robot, which: str) -> list[str]:
 
 def station_labels(campaign: Campaign, data: Dataset) -> tuple[str, ...]:
     """All stations, sorted, where a frame is one for each of them; else none."""
-    if data.station is None or not per_station(campaign):
+    if data.labels.station is None or not per_station(campaign):
         return ()
-    return tuple(sorted({str(s) for s in data.station}))
+    return tuple(sorted({str(s) for s in data.labels.station}))
 
 
 def stage_urdf(fit: Fit) -> bytes:

@@ -115,7 +115,7 @@ def limits(data: Dataset, kept: np.ndarray | None = None) -> np.ndarray:
         data: N rows.
         kept: Rows that are not to be flagged whatever they leave, shape (N,) bool.
     """
-    usual = np.where(data.doubtful, SUSPECT, OUTLIER)
+    usual = np.where(data.repeats.doubtful, SUSPECT, OUTLIER)
     return usual if kept is None else np.where(kept, np.inf, usual)
 
 
@@ -159,11 +159,13 @@ def coordinates(data: Dataset) -> dict[str, np.ndarray]:
     if not np.isnan(data.position).any():
         found |= dict(zip("xyz", data.position.T, strict=True))
     if not data.direct:
-        things = np.unique(np.column_stack([data.block.astype(str), data.refers]), axis=0, return_inverse=True)[1]
+        things = np.unique(
+            np.column_stack([data.labels.block.astype(str), data.labels.refers]), axis=0, return_inverse=True
+        )[1]
         found[MEASURED] = things.reshape(-1).astype(float)
     found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
-    if data.station is not None:
-        found["station"] = np.unique(data.station, return_inverse=True)[1].astype(float)
+    if data.labels.station is not None:
+        found["station"] = np.unique(data.labels.station, return_inverse=True)[1].astype(float)
     return {name: values for name, values in found.items() if np.ptp(values) > 0}
 
 

@@ -407,7 +407,7 @@ def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.nda
     data, rng = problem.data, np.random.default_rng(0)
     some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
     readings = np.column_stack([rng.permutation(column[some]) for column in data.readings.T])
-    labels = (None if of is None else of[some] for of in (data.station, data.target))
+    labels = (None if of is None else of[some] for of in (data.labels.station, data.labels.target))
     _, _, J = problem.model.jacobian(theta, problem.model.rows(readings, None, *labels))
     numbers = sum(channel.size for channel in problem.channels)
     return np.asarray((J[:, :numbers] / spread(sigma, problem.channels)[:, None]).reshape(-1, len(theta)))

@@ -79,17 +79,19 @@ def copies(rows: Dataset) -> np.ndarray:
     unseen = np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1)
     # One after the other: where no configuration is repeated nothing else is looked at.
     columns = (
-        column for part in (rows.configuration, rows.position, turned, unseen) for column in np.atleast_2d(part.T)
+        column
+        for part in (rows.repeats.configuration, rows.position, turned, unseen)
+        for column in np.atleast_2d(part.T)
     )
     return np.asarray(first_alike(columns) != np.arange(len(rows)))
 
 
 def places(rows: Dataset) -> np.ndarray:
     """Number of each row's configuration at its station: rows with the same one are repeats, shape (N,)."""
-    if rows.station is None:
-        return by_appearance(rows.configuration)
-    station = np.unique(rows.station, return_inverse=True)[1]
-    return np.unique(np.column_stack([rows.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
+    if rows.labels.station is None:
+        return by_appearance(rows.repeats.configuration)
+    station = np.unique(rows.labels.station, return_inverse=True)[1]
+    return np.unique(np.column_stack([rows.repeats.configuration, station]), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Sequence[str]:

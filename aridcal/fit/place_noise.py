@@ -14,7 +14,7 @@ SURE = 3.0
 
 def _alike(rows: Dataset) -> np.ndarray:
     """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not."""
-    return by_appearance(first_alike([held_together(rows), rows.block, *rows.refers.T]))
+    return by_appearance(first_alike([held_together(rows), rows.labels.block, *rows.labels.refers.T]))
 
 
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:

@@ -96,7 +96,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         if local is not None:
             r, twists = question.of_joints(theta, block)
             w = cauchy(r, sigma, channels) if weight is None else weight[block]
-            root, phi = np.sqrt(w * question.data.share)[:, None], question.rows.phi[block]
+            root, phi = np.sqrt(w * question.data.repeats.share)[:, None], question.rows.phi[block]
             twists *= root[:, :, None]
             AA += local.information(twists, phi, columns(channels))
             Ar += local.pull(twists, phi, r * root, columns(channels))
@@ -108,7 +108,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         nearer.append(pieces.agreed)
         seen = np.where(question.measured[block].absent, np.nan, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
-        root = np.sqrt(w * question.data.share)[:, None]
+        root = np.sqrt(w * question.data.repeats.share)[:, None]
         if sums is not None:
             own, wide = root[:, :, None], question.group_of(block)
             sums.add(wide, B * own, J * own, r * root, channels)
@@ -130,7 +130,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
     parts.clear()
-    counted = weight * question.data.share
+    counted = weight * question.data.repeats.share
     rr = weighted_squares(residual, counted, channels)
     equations = NormalEquations(AA, Ar, rr, _numbers(residual, counted, channels))
     beforehand, at = question.beforehand(), np.concatenate(nearer) if nearer else question.rows.positions

@@ -124,20 +124,20 @@ def _start(
     campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
-    alone = len(train.blocks) < 2 and train.target is None
+    alone = len(train.blocks) < 2 and train.labels.target is None
     if (
-        alone and train.route is None and np.isfinite(train.position).all()
+        alone and train.labels.route is None and np.isfinite(train.position).all()
     ):  # every row has measured the place of one target
         best, _ = _starts(campaign, robot, train, labels)[0]
         return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
-    bare = Model(robot, (), instruments=train.instruments, routes=train.routes)
+    bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
     seen = measured(bare, train)
     R, p = bare.poses(np.zeros(0), seen.rows)
     world, tip = campaign.frames.world_base, campaign.frames.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     number = np.zeros(len(train), dtype=int)
-    if train.target is not None:
-        number = np.searchsorted(np.array(names), train.target.astype(str))
+    if train.labels.target is not None:
+        number = np.searchsorted(np.array(names), train.labels.target.astype(str))
     stated = {name: campaign.instruments.targets.get(str(name), tip) for name in names}
     hints = {k: pin.SE3.Identity() if name == TIP else placement(stated[name]) for k, name in enumerate(names)}
     fixed = not measures_target(train)
@@ -151,7 +151,7 @@ def _start(
         tuple((name, found.tip_target[k]) for k, name in enumerate(names)),
         instruments=train.instruments,
         states=found.states,
-        routes=train.routes,
+        routes=train.labels.routes,
         target_on=campaign.instruments.targets_on(robot.tip),
     )
 
@@ -263,10 +263,10 @@ def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[st
     """Number of the frame that each row belongs to, shape (N,)."""
     if settings.per != "station":
         return np.zeros(len(train), dtype=int)
-    if train.station is None or not labels:
+    if train.labels.station is None or not labels:
         raise MeasurementError("a frame is per station: the table needs a `station` column")
     number = {label: k for k, label in enumerate(labels)}
-    return np.array([number[s] for s in train.station], dtype=int)
+    return np.array([number[s] for s in train.labels.station], dtype=int)
 
 
 def _placements(start: FrameStart, campaign: Campaign, labels: tuple[str, ...]) -> tuple[Frames, Frames]:

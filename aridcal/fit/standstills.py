@@ -40,10 +40,10 @@ def standstills(rows: Dataset) -> np.ndarray:
         return np.arange(len(rows))
     import pandas as pd  # slow to load, and plain poses do not come here
 
-    target = np.zeros(len(rows), dtype=str) if rows.target is None else rows.target
+    target = np.zeros(len(rows), dtype=str) if rows.labels.target is None else rows.labels.target
     what = pd.DataFrame({f"q {k}": q for k, q in enumerate(rows.readings.T)})
     what["visit"] = what.assign(
-        block=rows.block, target=target, **{f"role {k}": labels for k, labels in enumerate(rows.refers.T)}
+        block=rows.labels.block, target=target, **{f"role {k}": labels for k, labels in enumerate(rows.labels.refers.T)}
     ).pipe(lambda seen: seen.groupby(list(seen.columns), sort=False).cumcount())
     number = what.groupby(list(what.columns), sort=False).ngroup().to_numpy()
     return np.asarray(pd.factorize(number)[0])

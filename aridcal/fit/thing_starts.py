@@ -75,8 +75,8 @@ def beginning(
     if posed.any():
         found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
         placed = True
-    starts_on_link = np.array([route.start is not None for route in data.routes])
-    linked = np.zeros(len(data), dtype=bool) if data.route is None else starts_on_link[data.route]
+    starts_on_link = np.array([route.start is not None for route in data.labels.routes])
+    linked = np.zeros(len(data), dtype=bool) if data.labels.route is None else starts_on_link[data.labels.route]
     order = sorted(range(len(seen.blocks)), key=lambda b: not seen.blocks[b].traits.level)  # it knows the vertical
     for b in order:
         block = seen.blocks[b]

@@ -24,10 +24,11 @@ from aridcal.head.seen import Seen, check_pose, head_of, observed, start_anywher
 from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import ROLES, Dataset
+from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.head_settings import HeadSettings, range_columns
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.remarks import Remark
+from aridcal.inputs.row_facts import ROLES
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.instruments.camera_sonar import HEAD, Head, channels
 from aridcal.instruments.setup import Block, Instruments, Things
@@ -76,7 +77,7 @@ def read_shots(
     campaign = _with_head(campaign, settings, table)
     limits, kinds = robot.limits, robot.kinds
     rows = load_measurements(campaign, robot.readings, limits, kinds, seed, files=[settings.shots], require_pose=False)
-    lines = rows.line.tolist()
+    lines = rows.origin.line.tolist()
     usable = set(lines)
     by_line = {shot.line: shot for shot in shots if shot.line in usable}
     looking = settings if lens is None else _with_lens(settings, lens)
@@ -94,9 +95,9 @@ def read_shots(
         line, why = next(iter(refused.items()))
         raise AridcalError(f"{settings.shots}: nothing could be measured. First: line {line}: {why}")
     remarks = [Remark(settings.shots.name, line, "image", by_line[line].image, why) for line, why in refused.items()]
-    every = sorted((*rows.refused, *remarks), key=lambda remark: remark.row or 0)
-    kept = rows.select(np.isin(rows.line, list(seen)))
-    rows = shot_rows(replace(kept, refused=tuple(every)), list(seen.values()), head_of(settings), campaign)
+    every = sorted((*rows.origin.refused, *remarks), key=lambda remark: remark.row or 0)
+    kept = rows.select(np.isin(rows.origin.line, list(seen)))
+    rows = shot_rows(kept.with_origin(refused=tuple(every)), list(seen.values()), head_of(settings), campaign)
     fiducials = pd.concat([found[line] for line in seen], ignore_index=True)
     images = sum(known.lines(line) is None for line in found)
     camera = settings.camera
@@ -152,9 +153,8 @@ def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaig
     made = replace(
         rows,
         blocks=(block,),
-        block=np.zeros(n, dtype=int),
         observed=observed(seen, head),
-        refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1)),
+        labels=replace(rows.labels, block=np.zeros(n, dtype=int), refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1))),
         instruments=head_things(head),
     )
     return with_stated_noise(made, {HEAD: head.state[None]})

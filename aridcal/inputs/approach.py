@@ -44,9 +44,9 @@ def with_directions(rows: Dataset) -> Dataset:
         if column in rows.covariates:
             continue
         found[column] = np.zeros(len(rows), dtype=np.int8)  # a million rows of six joints: 6 MB instead of 48
-        for file in np.unique(rows.file):
-            own = np.flatnonzero(rows.file == file)
+        for file in np.unique(rows.origin.file):
+            own = np.flatnonzero(rows.origin.file == file)
             timed = time is not None and np.isfinite(time[own]).all()
-            own = own[np.argsort(time[own] if time is not None and timed else rows.line[own], kind="stable")]
+            own = own[np.argsort(time[own] if time is not None and timed else rows.origin.line[own], kind="stable")]
             found[column][own] = approach(reading[own], SAME_LENGTH if kind == "prismatic" else SAME_ANGLE)
-    return replace(rows, covariates=rows.covariates | found, derived=tuple(found))
+    return replace(rows, covariates=rows.covariates | found).with_origin(derived=tuple(found))

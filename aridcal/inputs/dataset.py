@@ -5,22 +5,19 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from aridcal.effects.effect import ROW_ORDER
-from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_appearance, first_alike
+from aridcal.inputs.row_facts import Labels, Origin, Repeats, labels_together, origins_together, selected, untold
 from aridcal.instruments.channels import Channels, columns, spread
 from aridcal.instruments.pose import kind_of_places, pose_numbers
 from aridcal.instruments.setup import Block, Instruments
-from aridcal.robot.chain import JointKind, Route
-
-ROLES = 3
-"""Things that a row may refer to: a camera, a board and a marker."""
+from aridcal.robot.chain import JointKind
 
 
 @dataclass(frozen=True)
@@ -33,68 +30,35 @@ class Dataset:
     Attributes:
         names: The reading columns, by the names of their joints.
         kinds: Kind of each reading column.
-        files: The files that were read.
-        sha256: Hash of their bytes; of several blocks, of the blocks' hashes.
-        refused: Rows that cannot be used, each named once; they are not among the N.
-        notices: What is odd but used: rows outside limits, columns that are ignored.
-        file: Index into `files`, shape (N,).
-        line: Line of the file, the header being line 1, shape (N,).
-        order: The same counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
         readings: Joint readings or commands, shape (N, columns), [rad] or [m].
+        blocks: Of rows of one kind each.
+        observed: What was read, as the kind of the row's block has it, shape (N, W); NaN beyond what it has.
         relative: How the rows' noise differs from the channels' sigmas: relative sigmas of the numbers in world axes,
             shape (N, m), with RMS 1 over the training rows; or factors L, shape (N, m, m), where numbers of a row err
             together, so that the noise is L times independent noise of the channels' sigmas; None where rows are alike.
         covariates: Every other numeric column, shape (N,), NaN in its holes.
-        station: Label of the rows that share a frame, shape (N,); None if there is no such column.
-        configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
-        stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
-        doubtful: The same rows and those that they repeat: that the later one is stale, the order of rows says alone.
         test: Held-out rows, shape (N,) bool: they never fit and never choose.
-        split_given: True if the files say which rows those are.
-        share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
-        blocks: Of rows of one kind each.
-        block: Index into ``blocks``, shape (N,).
-        observed: What was read, as the kind of the row's block has it, shape (N, W); NaN beyond what it has.
-        refers: Labels of the things that the row refers to, in the order of its kind's roles, shape (N, 3); empty where
-            it has fewer roles.
-        target: Label of the row's frame on the tip, shape (N,); None where there is one for all.
-        routes: The paths through the robot's tree that rows take.
-        route: Number of each row's path, shape (N,); None where all take the first.
-        instruments: What is known beforehand of those things.
-        derived: Covariates that no file holds: the side of approach, from the order of rows.
+        labels: Which block, things, station, target and path each row is of.
+        repeats: Which rows repeat others.
+        origin: Which files and lines rows come from.
+        instruments: What is known beforehand of the things that rows refer to.
     """
 
     names: tuple[str, ...]
     kinds: tuple[JointKind, ...]
-    files: tuple[Path, ...]
-    sha256: str
-    refused: tuple[Remark, ...]
-    notices: tuple[Remark, ...]
-    file: np.ndarray
-    line: np.ndarray
-    order: np.ndarray
     readings: np.ndarray
     blocks: tuple[Block, ...]
-    block: np.ndarray
     observed: np.ndarray
-    refers: np.ndarray
     relative: np.ndarray | None
     covariates: dict[str, np.ndarray]
-    station: np.ndarray | None
-    configuration: np.ndarray
-    stale: np.ndarray
-    doubtful: np.ndarray
     test: np.ndarray
-    split_given: bool = False
-    derived: tuple[str, ...] = ()
-    share: float = 1.0
-    target: np.ndarray | None = None
-    routes: tuple[Route, ...] = (Route(),)
-    route: np.ndarray | None = None
+    labels: Labels
+    repeats: Repeats
+    origin: Origin
     instruments: Instruments = field(default_factory=Instruments)
 
     def __len__(self) -> int:
-        return len(self.line)
+        return len(self.readings)
 
     @property
     def channels(self) -> Channels:
@@ -126,7 +90,7 @@ class Dataset:
         """Positions and rotations of the target, of the kinds that tell them."""
         position, rotation = np.full((len(self), 3), np.nan), None
         for number, block in enumerate(self.blocks):
-            own = slice(None) if len(self.blocks) == 1 else np.flatnonzero(self.block == number)
+            own = slice(None) if len(self.blocks) == 1 else np.flatnonzero(self.labels.block == number)
             place = block.traits.placed
             if place is None or not self.observed.shape[1]:
                 continue
@@ -143,7 +107,7 @@ class Dataset:
         """What is known beforehand of the things of some rows of a block, (n, P) for each role; 0 of what has no fault."""
         found = []
         for k, role in enumerate(self.blocks[number].traits.roles):
-            label, things = self.refers[own, k], self.instruments.things.get(role.name)
+            label, things = self.labels.refers[own, k], self.instruments.things.get(role.name)
             if things is None:
                 found.append(np.zeros((len(label), role.size)))
                 continue
@@ -165,7 +129,7 @@ class Dataset:
     def measures(self) -> np.ndarray:
         """Which channels each row measures, shape (N, C) bool."""
         of_block = np.repeat(np.arange(len(self.blocks)), [len(block.channels) for block in self.blocks])
-        return np.asarray(self.block[:, None] == of_block)
+        return np.asarray(self.labels.block[:, None] == of_block)
 
     @property
     def sees_turns(self) -> bool:
@@ -175,7 +139,7 @@ class Dataset:
     @property
     def conditions(self) -> dict[str, np.ndarray]:
         """Everything beside the joints that effects depend on: the covariates and the order of the rows."""
-        return self.covariates | {ROW_ORDER: self.order}
+        return self.covariates | {ROW_ORDER: self.origin.order}
 
     @property
     def sequence(self) -> np.ndarray:
@@ -188,21 +152,41 @@ class Dataset:
     @property
     def as_read(self) -> np.ndarray:
         """Numbers of the rows as they stand in the files, shape (N,)."""
-        return np.lexsort((self.line, self.file))
+        return np.lexsort((self.origin.line, self.origin.file))
 
     @property
     def title(self) -> str:
         """The first file, for messages."""
-        return str(self.files[0]) if self.files else "the data"
+        return str(self.origin.files[0]) if self.origin.files else "the data"
 
     def select(self, rows: np.ndarray) -> Dataset:
         """The data of some rows, chosen by a mask or by indices; remarks on the files stay."""
         if isinstance(rows, np.ndarray) and rows.dtype == bool and rows.all():
             return self
-        per_row = {f.name: getattr(self, f.name) for f in fields(self)}
-        chosen = {name: value[rows] for name, value in per_row.items() if isinstance(value, np.ndarray)}
-        chosen["configuration"] = by_appearance(chosen["configuration"])
-        return replace(self, **chosen, covariates={name: value[rows] for name, value in self.covariates.items()})
+        repeats = selected(self.repeats, rows)
+        return replace(
+            self,
+            readings=self.readings[rows],
+            observed=self.observed[rows],
+            relative=None if self.relative is None else self.relative[rows],
+            covariates={name: value[rows] for name, value in self.covariates.items()},
+            test=self.test[rows],
+            labels=selected(self.labels, rows),
+            repeats=replace(repeats, configuration=by_appearance(repeats.configuration)),
+            origin=selected(self.origin, rows),
+        )
+
+    def with_labels(self, **changes: Any) -> Dataset:
+        """The same rows with other of their :class:`Labels`."""
+        return replace(self, labels=replace(self.labels, **changes))
+
+    def with_repeats(self, **changes: Any) -> Dataset:
+        """The same rows with other of their :class:`Repeats`."""
+        return replace(self, repeats=replace(self.repeats, **changes))
+
+    def with_origin(self, **changes: Any) -> Dataset:
+        """The same rows with another :class:`Origin` in part."""
+        return replace(self, origin=replace(self.origin, **changes))
 
     def declared(self, estimate: np.ndarray) -> np.ndarray:
         """Sigma of each channel, shape (C,): as declared, and the estimate where nothing is declared."""
@@ -220,53 +204,41 @@ def together(parts: Sequence[Dataset]) -> Dataset:
     parts = _named_apart(parts)
     counts, n = [len(part) for part in parts], sum(map(len, parts))
     ends = np.cumsum([0, *counts])
-    blocks, widths = tuple(part.blocks[0] for part in parts), [part.observed.shape[1] for part in parts]
-    observed = np.full((n, max(widths)), np.nan)
-    names = sorted({name for part in parts for name in part.covariates})
-    covariates = {name: np.full(n, np.nan) for name in names}
-    order, files, last = [], 0, 0.0
-    file = []
+    observed = np.full((n, max(part.observed.shape[1] for part in parts)), np.nan)
+    covariates = {name: np.full(n, np.nan) for name in sorted({name for part in parts for name in part.covariates})}
     for part, low, high in zip(parts, ends[:-1], ends[1:], strict=True):
         observed[low:high, : part.observed.shape[1]] = part.observed
         for name, values in part.covariates.items():
             covariates[name][low:high] = values
-        order.append(part.order + last)
-        last += float(part.order[np.isfinite(part.order)].max(initial=0.0))
-        file.append(part.file + files)
-        files += len(part.files)
-    block, refers = np.repeat(np.arange(len(parts)), counts), np.concatenate([part.refers for part in parts])
-    target, station = (
-        _labels_of([part.target for part in parts], counts),
-        _labels_of([part.station for part in parts], counts),
+    labels = Labels(
+        block=np.repeat(np.arange(len(parts)), counts),
+        refers=np.concatenate([part.labels.refers for part in parts]),
+        station=labels_together([part.labels.station for part in parts], counts),
+        target=labels_together([part.labels.target for part in parts], counts),
     )
-    alike = [block, np.concatenate([part.configuration for part in parts]), *refers.T]
-    if target is not None:
-        alike.append(target)
-    sha256 = "".join(part.sha256 for part in parts)
+    alike = [labels.block, np.concatenate([part.repeats.configuration for part in parts]), *labels.refers.T]
+    if labels.target is not None:
+        alike.append(labels.target)
+    sha256 = "".join(part.origin.sha256 for part in parts)
     return Dataset(
         names=parts[0].names,
         kinds=parts[0].kinds,
-        files=tuple(path for part in parts for path in part.files),
-        sha256=sha256 if len(parts) == 1 else hashlib.sha256(sha256.encode()).hexdigest(),
-        refused=tuple(remark for part in parts for remark in part.refused),
-        notices=tuple(remark for part in parts for remark in part.notices),
-        file=np.concatenate(file),
-        line=np.concatenate([part.line for part in parts]),
-        order=np.concatenate(order),
         readings=np.concatenate([part.readings for part in parts]),
-        blocks=blocks,
-        block=block,
+        blocks=tuple(part.blocks[0] for part in parts),
         observed=observed,
-        refers=refers,
         relative=None,
         covariates=covariates,
-        station=station,
-        configuration=by_appearance(first_alike(alike)),
-        stale=np.concatenate([part.stale for part in parts]),
-        doubtful=np.concatenate([part.doubtful for part in parts]),
         test=np.concatenate([part.test for part in parts]),
-        split_given=all(part.split_given for part in parts),
-        target=target,
+        labels=labels,
+        repeats=Repeats(
+            configuration=by_appearance(first_alike(alike)),
+            stale=np.concatenate([part.repeats.stale for part in parts]),
+            doubtful=np.concatenate([part.repeats.doubtful for part in parts]),
+        ),
+        origin=origins_together(
+            [part.origin for part in parts],
+            sha256 if len(parts) == 1 else hashlib.sha256(sha256.encode()).hexdigest(),
+        ),
     )
 
 
@@ -282,15 +254,6 @@ def _named_apart(parts: Sequence[Dataset]) -> list[Dataset]:
         )
         apart.append(replace(part, blocks=(replace(block, channels=channels),)))
     return apart
-
-
-def _labels_of(labels: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
-    """Labels of all rows, shape (N,), empty where a part has none; None where no part has any."""
-    if all(words is None for words in labels):
-        return None
-    return np.concatenate(
-        [np.full(n, "", dtype=str) if words is None else words for words, n in zip(labels, counts, strict=True)]
-    )
 
 
 @dataclass(frozen=True)
@@ -343,41 +306,38 @@ def dataset(
     made = Dataset(
         names=tuple(names),
         kinds=tuple(kinds),
-        files=(),
-        sha256="",
-        refused=(),
-        notices=(),
-        file=np.zeros(n, dtype=int),
-        line=np.arange(n) + 2,
-        order=np.arange(n) + 2.0,
         readings=readings,
         blocks=(Block(kind.name, kind.name, kind.channels, stated),),
-        block=np.zeros(n, dtype=int),
         observed=pose_numbers(position, rotation),
-        refers=np.zeros((n, ROLES), dtype=str),
         relative=None,
         covariates=dict(covariates or {}),
-        station=station,
-        configuration=blocks(readings, kinds),
-        stale=nothing if stale is None else stale,
-        doubtful=nothing if stale is None else stale,
         test=nothing if test is None else test,
-        split_given=test is not None,
+        labels=replace(untold(n), station=station),
+        repeats=Repeats(
+            configuration=blocks(readings, kinds),
+            stale=nothing if stale is None else stale,
+            doubtful=nothing if stale is None else stale,
+        ),
+        origin=Origin(
+            file=np.zeros(n, dtype=int),
+            line=np.arange(n) + 2,
+            order=np.arange(n) + 2.0,
+            split_given=test is not None,
+        ),
     )
     return made if noise is None else weighed(made, noise)
 
 
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
-    kind, n = kind_of_places(rotation), len(data)
+    kind, nothing = kind_of_places(rotation), untold(len(data))
     stated = (*data.sigma, *(None,) * len(kind.channels))[: len(kind.channels)]
     return replace(
         data,
         blocks=(Block(kind.name, kind.name, kind.channels, stated),),
-        block=np.zeros(n, dtype=int),
         observed=pose_numbers(position, rotation),
-        refers=np.zeros((n, ROLES), dtype=str),
         instruments=Instruments(),
+        labels=replace(data.labels, block=nothing.block, refers=nothing.refers),
     )
 
 
@@ -414,7 +374,7 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
     relative = np.ones((len(data), sum(channel.size for channel in data.channels)))
     sigma, ends = [], np.cumsum([0, *(spread(np.ones(len(b.channels)), b.channels).size for b in data.blocks)])
     for number, noise in enumerate(noises):
-        own = data.block == number
+        own = data.labels.block == number
         made = weighed(of_block(data, number, own), noise)
         sigma += list(made.sigma)
         if made.relative is not None:
@@ -425,7 +385,8 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
 def of_block(data: Dataset, number: int, own: np.ndarray) -> Dataset:
     """Rows of one block alone, shape (N,) bool or numbers, with its channels and nothing known of their noise."""
     rows = data.select(own)
-    return replace(rows, blocks=(data.blocks[number],), block=np.zeros(len(rows), dtype=int), relative=None)
+    block = replace(rows.labels, block=np.zeros(len(rows), dtype=int))
+    return replace(rows, blocks=(data.blocks[number],), labels=block, relative=None)
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:

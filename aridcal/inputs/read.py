@@ -21,12 +21,13 @@ from aridcal.inputs.checks import (
     refuse_impossible_readings,
     stale_rows,
 )
-from aridcal.inputs.dataset import ROLES, Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.inputs.dataset import Dataset, RowNoise, together, weighed, weighed_apart
 from aridcal.inputs.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.routes import needed_columns, numbered, routes_of
+from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
@@ -123,7 +124,7 @@ def load_measurements(
     rows = _targets_told(campaign, together([part.rows for part in parts]))
     if fitted:
         rows = with_training_rows(rows, per_station(campaign))
-        drawn = np.repeat([not part.rows.split_given for part in parts], [len(part.rows) for part in parts])
+        drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
         rows = with_training_labels(rows, drawn)
     rows = weighed_apart(rows, [part.noise for part in parts])
     return _with_instruments(rows, asked)
@@ -140,9 +141,11 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     """
     rows, chosen, noise = _read(asked, number, tables, alone)
     give_back()  # the table's cells, which are more than all that was made of them
-    rows = replace(used := rows.select(chosen), configuration=blocks(used.readings, asked.kinds))
+    rows = (used := rows.select(chosen)).with_repeats(configuration=blocks(used.readings, asked.kinds))
     return _Part(
-        rows if rows.split_given else replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed)),
+        rows
+        if rows.origin.split_given
+        else replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed)),
         noise,
     )
 
@@ -214,27 +217,29 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     rows = Dataset(
         names=asked.readings,
         kinds=kinds,
-        files=table.files,
-        sha256=table.sha256,
-        refused=source.refusals(),
-        notices=tuple(source.notices),
-        file=table.file,
-        line=table.line,
-        order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
         readings=q,
         blocks=(_block_of(settings),),
-        block=np.zeros(len(table), dtype=int),
         observed=observed if asked.require_pose else np.zeros((len(table), 0)),
-        refers=refers,
         relative=None,
         covariates=covariates,
-        station=station,
-        configuration=np.zeros(len(table), dtype=int),
-        stale=stale >= 0,
-        doubtful=doubtful,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
-        split_given=split is not None,
-        target=target if asked.require_pose else None,
+        labels=Labels(
+            block=np.zeros(len(table), dtype=int),
+            refers=refers,
+            station=station,
+            target=target if asked.require_pose else None,
+        ),
+        repeats=Repeats(np.zeros(len(table), dtype=int), stale >= 0, doubtful),
+        origin=Origin(
+            file=table.file,
+            line=table.line,
+            order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
+            files=table.files,
+            sha256=table.sha256,
+            refused=source.refusals(),
+            notices=tuple(source.notices),
+            split_given=split is not None,
+        ),
     )
     numbers = sum(channel.size for channel in rows.channels)
     noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
@@ -265,8 +270,9 @@ def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
     """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
-    rows = replace(like.rows.select(np.zeros(0, dtype=int)), files=(), sha256="", refused=(), notices=())
-    return _Part(replace(rows, split_given=True, blocks=(_block_of(settings),)), RowNoise())
+    none = np.zeros(0, dtype=int)
+    rows, origin = like.rows.select(none), Origin(none, none, none.astype(float), split_given=True)
+    return _Part(replace(rows, origin=origin, blocks=(_block_of(settings),)), RowNoise())
 
 
 def _block_of(settings: MeasurementSettings) -> Block:
@@ -279,7 +285,7 @@ def _block_of(settings: MeasurementSettings) -> Block:
 def _direct(campaign: Campaign, rows: Dataset) -> bool:
     """True where a tracker alone measures, and nothing tells a target of several or a link that it is on."""
     only = len(campaign.blocks) == 1 and rows.blocks[0].traits.tracked
-    return only and rows.target is None and not campaign.links
+    return only and rows.labels.target is None and not campaign.links
 
 
 def _words(source: Source, quantity: str) -> np.ndarray | None:
@@ -370,34 +376,37 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
         CampaignError: these labels cannot be used with the campaign's frames.
         MeasurementError: a table calls a target of its own what the tip is called.
     """
-    label = rows.target if rows.target is not None else np.full(len(rows), "", dtype=str)
+    given = rows.labels.target
+    label = given if given is not None else np.full(len(rows), "", dtype=str)
     own = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
-    if rows.target is None and len(set(own.values())) == 1:
+    if given is None and len(set(own.values())) == 1:
         return rows
     if TIP in label and TIP in own.values():
         beside = listed(
             [f"`kind: {kind}`" for kind in dict.fromkeys(b.kind for b in campaign.blocks) if KINDS[kind].bare]
         )
         raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {beside}; rename it")
-    told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.block], label)
+    told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
     if per_station(campaign):
         raise CampaignError(
             f"{campaign.path}: frames: `per: station` is not for several targets ({listed(np.unique(told).tolist())}); "
             "delete it, or measure the stations in campaigns of their own"
         )
-    return replace(rows, target=told)
+    return rows.with_labels(target=told)
 
 
 def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     """The rows with what is known of the things that they refer to."""
-    rows = replace(rows, refers=with_trackers(rows.refers, rows.blocks, rows.block, asked.readings))
-    of_blocks = [Rows(KINDS[b.kind], rows.refers[rows.block == number]) for number, b in enumerate(rows.blocks)]
+    rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, asked.readings))
+    of_blocks = [
+        Rows(KINDS[b.kind], rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+    ]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
         _check_targets(rows, asked.campaign)
         rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
-    return replace(rows, instruments=made, notices=(*rows.notices, *notices))
+    return replace(rows, instruments=made).with_origin(notices=(*rows.origin.notices, *notices))
 
 
 def _check_targets(rows: Dataset, campaign: Campaign) -> None:
@@ -406,10 +415,10 @@ def _check_targets(rows: Dataset, campaign: Campaign) -> None:
     Raises:
         MeasurementError: naming the first.
     """
-    if "tip" in campaign.robot.model_fields_set or rows.target is None:
+    if "tip" in campaign.robot.model_fields_set or rows.labels.target is None:
         return
-    bare = np.array([block.traits.bare for block in rows.blocks])[rows.block]
-    untold = sorted(set(rows.target[~bare].tolist()) - set(campaign.instruments.targets))
+    bare = np.array([block.traits.bare for block in rows.blocks])[rows.labels.block]
+    untold = sorted(set(rows.labels.target[~bare].tolist()) - set(campaign.instruments.targets))
     if untold:
         raise MeasurementError(
             f"{rows.title}: no key says on which link the target {untold[0]!r} is: add instruments.targets.{untold[0]}: "
@@ -425,15 +434,15 @@ def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Kno
     """
     paths = [Route()] * len(rows)
     for number, block in enumerate(blocks):
-        own = np.flatnonzero(rows.block == number)
-        target = None if rows.target is None else rows.target[own]
-        of_block = routes_of(known, block.kind, rows.refers[own], target, robot.tip, block.links)
+        own = np.flatnonzero(rows.labels.block == number)
+        target = None if rows.labels.target is None else rows.labels.target[own]
+        of_block = routes_of(known, block.kind, rows.labels.refers[own], target, robot.tip, block.links)
         for k, path in zip(own.tolist(), of_block, strict=True):
             paths[k] = path
     routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
     for path in routes[1:]:
         check_route(robot, path)
-    return replace(rows, routes=routes, route=route)
+    return rows.with_labels(routes=routes, route=route)
 
 
 def _counted_on(table: Table) -> np.ndarray:

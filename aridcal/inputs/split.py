@@ -38,7 +38,7 @@ def _with_things(data: Dataset, of_arm: np.ndarray) -> np.ndarray:
     """Numbers of rows of one arm's place, shape (N,), but of things with few rows all rows of one."""
     if data.direct:
         return of_arm
-    labels = np.column_stack([data.block.astype(str), data.refers])
+    labels = np.column_stack([data.labels.block.astype(str), data.labels.refers])
     thing = np.unique(labels, axis=0, return_inverse=True)[1].reshape(-1)
     few = np.bincount(thing)[thing] < FEW_ROWS
     return np.asarray(np.unique(np.where(few, thing + of_arm.max() + 1, of_arm), return_inverse=True)[1])
@@ -75,17 +75,17 @@ def with_training_rows(data: Dataset, per_station: bool) -> Dataset:
     Raises:
         MeasurementError: the table's own split leaves a station without training rows.
     """
-    if data.station is None or not per_station:
+    if data.labels.station is None or not per_station:
         return data
-    lone = sorted({str(s) for s in data.station} - {str(s) for s in data.station[data.train]})
+    lone = sorted({str(s) for s in data.labels.station} - {str(s) for s in data.labels.station[data.train]})
     if not lone:
         return data
-    if data.split_given:
+    if data.origin.split_given:
         raise MeasurementError(f"station {lone[0]!r} has only `test` rows: its frame cannot be identified")
     why = f"all rows of station {', '.join(lone)} are needed for its frame: none of them is held out"
-    note = Remark(data.files[0].name, None, "station", "", why)
-    test = data.test & ~np.isin(data.station.astype(str), lone)
-    return replace(data, test=test, notices=(note, *data.notices))
+    note = Remark(data.origin.files[0].name, None, "station", "", why)
+    test = data.test & ~np.isin(data.labels.station.astype(str), lone)
+    return replace(data, test=test).with_origin(notices=(note, *data.origin.notices))
 
 
 def with_training_labels(data: Dataset, drawn: np.ndarray) -> Dataset:
@@ -104,18 +104,18 @@ def with_training_labels(data: Dataset, drawn: np.ndarray) -> Dataset:
         if lone:
             test &= ~(drawn & np.isin(labels, lone))
             why = f"all rows of {name} {listed(lone)} are needed to find it: none of them is held out"
-            notes.append(Remark(data.files[0].name, None, name, "", why))
-    return replace(data, test=test, notices=(*notes, *data.notices))
+            notes.append(Remark(data.origin.files[0].name, None, name, "", why))
+    return replace(data, test=test).with_origin(notices=(*notes, *data.origin.notices))
 
 
 def _labels(data: Dataset) -> Iterator[tuple[str, np.ndarray]]:
     """Labels of the rows in each role, and of their targets; shape (N,) each, empty where a row has none."""
     found: dict[str, np.ndarray] = {}
     for number, block in enumerate(data.blocks):
-        own = data.block == number
+        own = data.labels.block == number
         for k, role in enumerate(KINDS[block.kind].roles):
-            labels = found.setdefault(role.name, np.zeros(len(data), dtype=data.refers.dtype))
-            labels[own] = data.refers[own, k]
-    if data.target is not None:
-        found["target"] = data.target
+            labels = found.setdefault(role.name, np.zeros(len(data), dtype=data.labels.refers.dtype))
+            labels[own] = data.labels.refers[own, k]
+    if data.labels.target is not None:
+        found["target"] = data.labels.target
     yield from found.items()

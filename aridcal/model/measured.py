@@ -388,14 +388,15 @@ def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station or target is none of those that the model knows, or the model has not its path.
     """
-    unknown = [route for route in data.routes if route not in model.routes]
+    unknown = [route for route in data.labels.routes if route not in model.routes]
     if unknown:
         start, end = (link or "the default" for link in unknown[0])
         raise MeasurementError(f"{data.title}: no row of the calibration was measured from {start} to {end}")
-    number = np.array([model.routes.index(route) for route in data.routes])
-    route = None if len(model.routes) == 1 else number[np.zeros(len(data), int) if data.route is None else data.route]
+    number = np.array([model.routes.index(route) for route in data.labels.routes])
+    taken = np.zeros(len(data), int) if data.labels.route is None else data.labels.route
+    route = None if len(model.routes) == 1 else number[taken]
     at = data.readings if readings is None else readings
-    return model.rows(at, data.conditions, data.station, data.target, route)
+    return model.rows(at, data.conditions, data.labels.station, data.labels.target, route)
 
 
 def rows_at(seen: Measured, data: Dataset, positions: np.ndarray) -> Rows:
@@ -418,12 +419,12 @@ def measured(model: Model, data: Dataset) -> Measured:
         MeasurementError: see :func:`rows_of_data`.
     """
     instruments, number = joined(model.instruments, data.instruments)
-    refers = np.full(data.refers.shape, -1)
+    refers = np.full(data.labels.refers.shape, -1)
     for b, block in enumerate(data.blocks):
-        own = np.flatnonzero(data.block == b)
+        own = np.flatnonzero(data.labels.block == b)
         for k, role in enumerate(block.traits.roles):
             if role.name in number:
-                labels, which = np.unique(data.refers[own, k], return_inverse=True)
+                labels, which = np.unique(data.labels.refers[own, k], return_inverse=True)
                 refers[own, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
     ends = np.cumsum([0, *(sum(c.size for c in block.channels) for block in data.blocks)]).tolist()
     states = {name: t.start for name, t in instruments.things.items()}
@@ -435,7 +436,7 @@ def measured(model: Model, data: Dataset) -> Measured:
         rows=rows_of_data(model, data),
         blocks=data.blocks,
         parts=tuple(slice(low, high) for low, high in pairwise(ends)),
-        block=data.block,
+        block=data.labels.block,
         observed=data.observed,
         refers=refers,
         instruments=instruments,

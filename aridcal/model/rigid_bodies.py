@@ -23,12 +23,12 @@ def targets_of_one_body(data: Dataset, sigma: float) -> int:
         data: N rows, each with the label of its target as ``station``.
         sigma: Position residual of the geometry per axis, [m].
     """
-    if data.station is None:
+    if data.labels.station is None:
         return 1
     position = {
-        label: dict(zip(data.configuration[own].tolist(), data.position[own], strict=True))
-        for label in np.unique(data.station)
-        for own in [data.station == label]
+        label: dict(zip(data.repeats.configuration[own].tolist(), data.position[own], strict=True))
+        for label in np.unique(data.labels.station)
+        for own in [data.labels.station == label]
     }
     together = 1
     for a, b in combinations(position, 2):

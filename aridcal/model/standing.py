@@ -45,10 +45,10 @@ def references(rows: Dataset) -> Iterator[tuple[str, str, np.ndarray]]:
 
 def labels_of(rows: Dataset, role: str) -> np.ndarray:
     """Name of the thing of a role to which each row refers, empty for none, shape (N,)."""
-    found = np.full(len(rows), "", dtype=rows.refers.dtype)
+    found = np.full(len(rows), "", dtype=rows.labels.refers.dtype)
     for number, block in enumerate(rows.blocks):
         for k, each in enumerate(KINDS[block.kind].roles):
             if each.name == role:
-                own = rows.block == number
-                found[own] = rows.refers[own, k]
+                own = rows.labels.block == number
+                found[own] = rows.labels.refers[own, k]
     return found

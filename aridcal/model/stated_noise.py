@@ -26,10 +26,12 @@ def with_stated_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Datase
         relative = data.relative.copy() if wide else data.relative[:, :, None] * np.eye(width)
     sigma, found, first, channel = list(data.sigma), False, 0, 0
     for number, block in enumerate(data.blocks):
-        kind, own = KINDS[block.kind], np.flatnonzero(data.block == number)
+        kind, own = KINDS[block.kind], np.flatnonzero(data.labels.block == number)
         if kind.noise is not None and block.rows != "ignore" and len(own):
             now = [
-                states[role.name][[data.instruments.things[role.name].names.index(t) for t in data.refers[own, k]]]
+                states[role.name][
+                    [data.instruments.things[role.name].names.index(t) for t in data.labels.refers[own, k]]
+                ]
                 for k, role in enumerate(kind.roles)
             ]
             covariance = kind.noise(kind.numbers(data.observed[own]), now)

@@ -15,10 +15,11 @@ from aridcal.fit.least_squares import UNKNOWN_NOISE
 from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import ROLES, Dataset, dataset
+from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
+from aridcal.inputs.row_facts import ROLES
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.setup import Block, Instruments
@@ -186,11 +187,11 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
     notices = []
     if len(campaign.blocks) > 1:
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
-    if rows.station is not None and labels:
-        notices.append(f"planned are rows at the station of the last row, {rows.station[rows.as_read[-1]]}")
+    if rows.labels.station is not None and labels:
+        notices.append(f"planned are rows at the station of the last row, {rows.labels.station[rows.as_read[-1]]}")
     patterns = _patterns(rows)
     if campaign.measurements.links is not None:
-        notices.append(HELD.format(*campaign.measurements.links, patterns.refers[0, 0]))
+        notices.append(HELD.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
     return Beforehand(
         campaign=campaign,
         robot=robot,
@@ -224,21 +225,21 @@ def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
 
 def _patterns(rows: Dataset) -> Dataset:
     """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
-    own = rows.block == 0
+    own = rows.labels.block == 0
     if rows.blocks[0].traits.joins:
         in_order = rows.as_read[own[rows.as_read]]
-        own &= rows.refers[:, 0] == rows.refers[in_order[-1], 0]
-    if rows.station is not None:
-        own &= rows.station == rows.station[rows.as_read[-1]]
-    told = np.full((len(rows), 1), "") if rows.target is None else rows.target[:, None].astype(str)
-    told = np.hstack([rows.refers.astype(str), told])
+        own &= rows.labels.refers[:, 0] == rows.labels.refers[in_order[-1], 0]
+    if rows.labels.station is not None:
+        own &= rows.labels.station == rows.labels.station[rows.as_read[-1]]
+    told = np.full((len(rows), 1), "") if rows.labels.target is None else rows.labels.target[:, None].astype(str)
+    told = np.hstack([rows.labels.refers.astype(str), told])
     number = np.flatnonzero(own)
     _, first = np.unique(told[own], axis=0, return_index=True)
     some = rows.select(number[np.sort(first)])
     typical = {
         name: np.full(len(some), np.nanmean(v[own])) for name, v in rows.covariates.items() if np.isfinite(v[own]).any()
     }
-    return replace(some, covariates=typical, relative=None, share=1.0)
+    return replace(some, covariates=typical, relative=None).with_repeats(share=1.0)
 
 
 def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
@@ -261,20 +262,20 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
     rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
     directions = tuple(f"{name}_direction" for name in robot.readings)
-    rows = replace(rows, covariates=dict.fromkeys(directions, np.zeros(n)), derived=directions)
+    rows = replace(rows, covariates=dict.fromkeys(directions, np.zeros(n))).with_origin(derived=directions)
     if labels or not kind.tracked:
         blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
-        refers = with_trackers(refers, blocks, rows.block, robot.readings)
+        refers = with_trackers(refers, blocks, rows.labels.block, robot.readings)
         made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
         rows = replace(
             rows,
             blocks=blocks,
             observed=np.zeros((n, max(1, len(kind.read)))),
-            refers=refers,
+            labels=replace(rows.labels, refers=refers),
             instruments=made,
         )
     if labels:
-        rows = with_routes(replace(rows, target=target), [settings], known, robot)
+        rows = with_routes(rows.with_labels(target=target), [settings], known, robot)
     coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
     frames = campaign.frames
     model = Model(
@@ -286,7 +287,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
             for label in frame_labels("tip_target", frames.tip_target, (), rows)
         ),
         instruments=rows.instruments,
-        routes=rows.routes,
+        routes=rows.labels.routes,
         target_on=campaign.instruments.targets_on(robot.tip),
     )
     around = surroundings(campaign, model, loaded=False)

@@ -83,7 +83,7 @@ class Candidates:
         made = rows_like(known, self.readings[self.of], self.pattern)
         names = tuple(f"{name}_direction" for name in made.names)
         covariates = made.covariates | dict(zip(names, self.sides[self.of].T, strict=True))
-        return replace(made, covariates=covariates, derived=names)
+        return replace(made, covariates=covariates).with_origin(derived=names)
 
 
 def offers(known: Beforehand) -> Offers:
@@ -91,18 +91,19 @@ def offers(known: Beforehand) -> Offers:
     rows = known.patterns
     n, kind = len(rows), known.campaign.measurements.traits
     if kind.images:
-        cameras = rows.refers[:, 0]
+        cameras = rows.labels.refers[:, 0]
         names = np.unique(cameras)
         return Offers(
             tuple(np.flatnonzero(cameras == name) for name in names), tuple({"camera": str(name)} for name in names)
         )
-    several = rows.target is not None and (kind.tracked or len(np.unique(rows.target)) > 1)
+    target = rows.labels.target
+    several = target is not None and (kind.tracked or len(np.unique(target)) > 1)
     titles: list[dict[str, str]] = []
     for k in range(n):
-        own = {"target": str(rows.target[k])} if several and rows.target is not None else {}
-        if rows.refers[k, 0] and not kind.tracked:
-            own |= {kind.roles[0].name: str(rows.refers[k, 0])}
-        own |= {} if rows.station is None else {"station": str(rows.station[k])}
+        own = {"target": str(target[k])} if several and target is not None else {}
+        if rows.labels.refers[k, 0] and not kind.tracked:
+            own |= {kind.roles[0].name: str(rows.labels.refers[k, 0])}
+        own |= {} if rows.labels.station is None else {"station": str(rows.labels.station[k])}
         titles.append(own)
     return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
 
@@ -157,13 +158,13 @@ def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tup
 
 def ends(known: Beforehand) -> list[int]:
     """Patterns of which the targets are to be known: the first of each path."""
-    route = known.patterns.route
+    route = known.patterns.labels.route
     return [0] if route is None else sorted(np.unique(route, return_index=True)[1].tolist())
 
 
 def _by_route(known: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
     """Which of some rows take which path; see :func:`rows_like`."""
-    routes, route = known.patterns.routes, known.patterns.route
+    routes, route = known.patterns.labels.routes, known.patterns.labels.route
     if route is None:
         yield slice(None), routes[0]
         return
@@ -260,7 +261,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
         return draw_readings(known.robot, count, rng, off_the_limits)
     role = kind.roles[0].name
     things = known.model.instruments.things[role]
-    number = things.names.index(str(rows.refers[pattern, 0]))
+    number = things.names.index(str(rows.labels.refers[pattern, 0]))
     state: np.ndarray = known.model.states.get(role, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -268,7 +269,7 @@ def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator
             return kind.residual(R, p, np.zeros((len(p), 0)), [np.tile(state, (len(p), 1))])
         return p - state if kind.touches else p @ state[:3, None] - state[3]
 
-    advice = f"move {role} {rows.refers[pattern, 0]} nearer to the arm, or say better where it is"
+    advice = f"move {role} {rows.labels.refers[pattern, 0]} nearer to the arm, or say better where it is"
     return reaching(known, pattern, miss, count, rng, advice)
 
 
@@ -299,7 +300,7 @@ def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarra
         seen_from = targets_of(known, readings, np.full(n, own[some][0]))
         turns[:, some], places[:, some] = (each[:, None] for each in seen_from)
     R, p = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
-    camera = known.campaign.instruments.cameras[str(known.patterns.refers[own[0], 0])]
+    camera = known.campaign.instruments.cameras[str(known.patterns.labels.refers[own[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)
     seen = in_image(R, p, states, size)
     if known.campaign.instruments.boards:

@@ -87,7 +87,7 @@ def so_far(known: Beforehand, candidates: Candidates) -> tuple[np.ndarray, np.nd
     stated = _stated(problem(known.model, candidates.some([0]).rows(known)), known)
     if not len(known.rows):
         return stated, np.zeros(len(stated))
-    weight = np.sqrt(known.weight * known.rows.share)
+    weight = np.sqrt(known.weight * known.rows.repeats.share)
     columns, residual = _whitened(agreed(problem(known.model, known.rows), known.theta), known)
     flat = (columns * weight[:, None, None]).reshape(-1, columns.shape[2])
     left = (residual * weight[:, None]).ravel()

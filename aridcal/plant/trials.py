@@ -240,7 +240,7 @@ def _true_error(scenario: Scenario, truth: Truth, outcome: Outcome) -> float | N
         return None
     exact = simulate(_with(scenario, truth.model_copy(update={"noise": TrueNoise(), "outliers": None})))
     rows, mask = outcome.measurements, scored(outcome)[0]
-    true = _positions(exact, scenario)[rows.line - FIRST_LINE]
+    true = _positions(exact, scenario)[rows.origin.line - FIRST_LINE]
     predicted = rows.position - outcome.stages[-1].residual[:, :3]
     return 1e3 * float(np.sqrt(np.mean(np.sum((true - predicted)[mask] ** 2, axis=1))))
 
@@ -267,9 +267,9 @@ def half(seed: int) -> Callable[[Dataset], Dataset]:
     """
 
     def choose(rows: Dataset) -> Dataset:
-        fitted = np.unique(rows.configuration[rows.train])
+        fitted = np.unique(rows.repeats.configuration[rows.train])
         kept = np.random.default_rng(seed).permutation(fitted)[: (len(fitted) + 1) // 2]
-        return rows.select(rows.test | np.isin(rows.configuration, kept))
+        return rows.select(rows.test | np.isin(rows.repeats.configuration, kept))
 
     return choose
 

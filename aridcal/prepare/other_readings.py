@@ -172,7 +172,9 @@ def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
     joints = [settings.columns.get(name, name) for name in train.names] if campaign.has_other_tables else None
     table = read_tables(campaign.tables, settings.ignore, campaign.limits.table, settings.table.dialect, joints)
     number = {place: k for k, place in enumerate(zip(table.file.tolist(), table.line.tolist(), strict=True))}
-    rows = np.array([number[place] for place in zip(train.file.tolist(), train.line.tolist(), strict=True)])
+    rows = np.array(
+        [number[place] for place in zip(train.origin.file.tolist(), train.origin.line.tolist(), strict=True)]
+    )
     drawn = np.random.default_rng(0).permutation(rows)[:SAMPLE]
     frame = table.frame().iloc[np.sort(drawn)].reset_index(drop=True)
     split = campaign.measurements.columns.get("split", "split")

@@ -355,10 +355,10 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     yield named(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
     source, plain = campaign.robot.urdf.name, outcome.robot.path.name
     yield named(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
-    if m.sha256:
-        files = [path.name for path in m.files]
+    if m.origin.sha256:
+        files = [path.name for path in m.origin.files]
         one = named(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
-        yield shortened(printable(one), LONGEST_NAME) + _joined(m), m.sha256
+        yield shortened(printable(one), LONGEST_NAME) + _joined(m), m.origin.sha256
     for name in HASHED:
         yield name, sha256((folder / name).read_bytes())
 
@@ -369,7 +369,7 @@ def _joined(m: Dataset) -> str:
         return " (without its images)"
     if len(m.blocks) > 1:
         return " (of the blocks' hashes)"
-    return " (one after the other)" if len(m.files) > 1 else ""
+    return " (one after the other)" if len(m.origin.files) > 1 else ""
 
 
 def _as_read(path: Path, text: str) -> bytes:

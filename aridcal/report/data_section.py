@@ -38,9 +38,9 @@ def data(outcome: Outcome) -> Iterator[Content]:
     yield _repeats(outcome)
     if flagged:
         yield _outliers(outcome)
-    if m.refused:
+    if m.origin.refused:
         yield tag("h3", "Refused rows")
-        yield bullets([str(remark) for remark in m.refused], MOST, "more; result.json lists them all")
+        yield bullets([str(remark) for remark in m.origin.refused], MOST, "more; result.json lists them all")
     if outcome.notices:
         yield tag("h3", "Notices")
         yield bullets(outcome.notices, MOST, "more; result.json lists them all")
@@ -49,17 +49,17 @@ def data(outcome: Outcome) -> Iterator[Content]:
 def _row_counts(outcome: Outcome) -> Html:
     """How many rows there are, and what became of them."""
     m, parts = outcome.measurements, outcome.parts()
-    refused = len(m.refused)
-    split = "as the table says" if m.split_given else "split by configuration, the same in every run"
+    refused = len(m.origin.refused)
+    split = "as the table says" if m.origin.split_given else "split by configuration, the same in every run"
     counts = {
         "read": len(m) + refused,
         "refused: unusable": refused,
         "outliers: neither fitted nor scored": outcome.outlier.sum(),
-        "stale: the measurement did not change although the joints moved": outcome.measurements.stale.sum(),
+        "stale: the measurement did not change although the joints moved": outcome.measurements.repeats.stale.sum(),
         "fitted": parts["train"].sum(),
         f"held out, to judge the result ({split})": parts["test"].sum(),
     }
-    files = ", ".join(path.name for path in m.files)
+    files = ", ".join(path.name for path in m.origin.files)
     lines = [[what, f"{count:,}"] for what, count in counts.items()]
     return table(["rows", "number"], lines, f"Rows of {files}")
 
@@ -70,7 +70,7 @@ def _blocks(outcome: Outcome) -> Html:
     lines = []
     first = 0
     for b, block in enumerate(m.blocks):
-        own = m.block == b
+        own = m.labels.block == b
         last = first + len(block.channels)
         counts = [own, own & parts["train"], own & parts["test"], own & outcome.outlier]
         noise = sigmas_in_words(outcome.noise[first:last], block.channels)
@@ -118,7 +118,7 @@ def _outliers(outcome: Outcome) -> list[Content]:
     """The flagged rows by file and line."""
     as_read = outcome.measurements.as_read
     rows = as_read[outcome.outlier[as_read]]
-    why = ["stale" if outcome.measurements.doubtful[k] else "gross outlier" for k in rows]
+    why = ["stale" if outcome.measurements.repeats.doubtful[k] else "gross outlier" for k in rows]
     shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
     rest = len(rows) - MOST
     return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]
@@ -146,13 +146,13 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
 
 def row_place(m: Dataset, k: int) -> str:
     """Where a row stands, and what it refers to."""
-    return f"{m.files[m.file[k]].name}, line {m.line[k]}{_of_things(m, k)}"
+    return f"{m.origin.files[m.origin.file[k]].name}, line {m.origin.line[k]}{_of_things(m, k)}"
 
 
 def _of_things(m: Dataset, k: int) -> str:
     """What a row refers to, in brackets."""
-    roles = labelled(m.blocks[m.block[k]].kind)
-    labels = [str(label) for label in m.refers[k, : len(roles)] if label]
+    roles = labelled(m.blocks[m.labels.block[k]].kind)
+    labels = [str(label) for label in m.labels.refers[k, : len(roles)] if label]
     return f" ({', '.join(labels)})" if labels else ""
 
 

@@ -164,8 +164,8 @@ def _by_label(outcome: Outcome, effect: Effect) -> Content:
         std = size * np.sqrt(np.diag(apart @ fit.covariance[np.ix_(own, own)] @ apart))
         for name, *numbers in zip(known, value.tolist(), std.tolist(), strict=True):
             cells[name].append(plus_minus(*numbers))
-    assert m.station is not None
-    used = m.station[~m.test & ~outcome.outlier]
+    assert m.labels.station is not None
+    used = m.labels.station[~m.test & ~outcome.outlier]
     lines = [[label_in(name), str(int(np.sum(used == label_in(name)))), *cells[name]] for name in known]
     head = ["label", "fitted rows", *(f"{component} [{unit}]" for component, (unit, _) in shown.items())]
     caption = f"{effect.label}: how each label deviates from the mean of all, ± 1σ; any other label has the one model"

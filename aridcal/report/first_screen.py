@@ -99,7 +99,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
         beside: Names of files that stand beside the page, which it links to.
     """
     m, robot = outcome.measurements, outcome.robot
-    files = ", ".join(path.name for path in m.files)
+    files = ", ".join(path.name for path in m.origin.files)
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.from_to}", class_="about")
@@ -361,7 +361,7 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
             yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
-    flagged, refused = int(outcome.outlier.sum()), len(m.refused)
+    flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)
     yield flagged <= QUESTIONABLE * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
     if refused:
         read = len(m) + refused

@@ -179,7 +179,7 @@ def _workspace(outcome: Outcome) -> Html:
 def _in_world(outcome: Outcome) -> np.ndarray:
     """Places of the targets in the world, shape (N, 3), [m], those that are measured from a link included."""
     m, places = outcome.measurements, outcome.at_target.places
-    R, p, linked = start_frames(outcome.robot, m.readings, m.routes, m.route)
+    R, p, linked = start_frames(outcome.robot, m.readings, m.labels.routes, m.labels.route)
     if not linked.any():
         return places
     _, world = outcome.stages[-1].fit.model.world_base[0]

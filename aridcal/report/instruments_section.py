@@ -155,8 +155,8 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
         if role not in names:
             continue
         unit = outcome.channels[channel].shown
-        own = np.flatnonzero(m.block == b)
-        labels, thing = np.unique(m.refers[own, names.index(role)], return_inverse=True)
+        own = np.flatnonzero(m.labels.block == b)
+        labels, thing = np.unique(m.labels.refers[own, names.index(role)], return_inverse=True)
         square, flagged = error[channel][own] ** 2, outcome.outlier[own]
         sound = ~flagged & ~np.isnan(square)
         every, wild, used = (np.bincount(thing[some], minlength=len(labels)) for some in (slice(None), flagged, sound))

@@ -138,7 +138,7 @@ def _poses(found: Iso9283, outcome: Outcome) -> Html:
         axes = ", ".join(number(1e3 * float(found.final[f"AP_{axis}"][k]), 2) for axis in "xyz")
         figures = (found.nominal["AP"], found.final["AP"], found.nominal["RP"], found.final["RP"])
         rows.append([
-            f"{m.files[m.file[first]].name}, line {m.line[first]}",
+            f"{m.origin.files[m.origin.file[first]].name}, line {m.origin.line[first]}",
             "held out" if found.held_out[k] else "fitted",
             f"{len(group):,}",
             *(number(1e3 * float(values[k])) for values in figures),

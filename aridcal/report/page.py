@@ -68,7 +68,7 @@ def page(
 
 def foot(m: Dataset) -> str:
     """The last line of a page on one table of measurements: what made it, from which rows."""
-    return f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.sha256[:16]}"
+    return f"aridcal {__version__}, {counted(len(m), 'row')} with sha256 {m.origin.sha256[:16]}"
 
 
 def drawn(title: str, content: Iterable[Content]) -> list[Content]:

@@ -85,7 +85,7 @@ def _page(
 def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
     """The first screen: how far off before, how far now, and what moved."""
     m, robot = made.rows.measurements, made.rows.robot
-    names = ", ".join(path.name for path in m.files)
+    names = ", ".join(path.name for path in m.origin.files)
     yield tag("h1", f"Repair of {robot.tree.name}")
     yield tag("p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
     seen = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
@@ -153,7 +153,7 @@ def _rows(made: RepairOutcomes) -> Iterator[Content]:
         own = [k for k in seen if m.measures[row, k]]
         part = "odd, not used" if made.rows.outlier[row] else "held out" if m.test[row] else "used"
         cells = [", ".join(_shown(c[k][row], m.channels[k]) for k in own) for c in columns]
-        lines.append([f"{m.files[m.file[row]].name}, row {m.line[row]}", part, *cells])
+        lines.append([f"{m.origin.files[m.origin.file[row]].name}, row {m.origin.line[row]}", part, *cells])
     which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
 

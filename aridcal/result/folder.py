@@ -71,18 +71,18 @@ def result_document(outcome: Outcome) -> dict[str, Any]:
     return finite({
         "format": 1,
         "n": {
-            "rows": len(m) + len(m.refused),
+            "rows": len(m) + len(m.origin.refused),
             "used": len(m),
             "train": int(parts["train"].sum()),
             "test": int(parts["test"].sum()),
             "outliers": int(outcome.outlier.sum()),
             "refused": [
-                asdict(remark) for remark in m.refused
+                asdict(remark) for remark in m.origin.refused
             ],
             "outlier_rows": [
-                {"file": m.files[m.file[k]].name, "row": int(m.line[k]), "why": why}
+                {"file": m.origin.files[m.origin.file[k]].name, "row": int(m.origin.line[k]), "why": why}
                 for k in m.as_read[outcome.outlier[m.as_read]]
-                for why in ["stale measurement" if m.doubtful[k] else "gross outlier"]
+                for why in ["stale measurement" if m.repeats.doubtful[k] else "gross outlier"]
             ],
         },
         "error": {
@@ -292,8 +292,10 @@ def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
 def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
     """The first row after a step: its line, its file if there are several, its time if there is one."""
     first = rows_around(step, rows)[1]
-    found: dict[str, Any] = {"file": rows.files[rows.file[first]].name} if len(rows.files) > 1 else {}
-    found["row"] = int(rows.line[first])
+    found: dict[str, Any] = (
+        {"file": rows.origin.files[rows.origin.file[first]].name} if len(rows.origin.files) > 1 else {}
+    )
+    found["row"] = int(rows.origin.line[first])
     time = rows.covariates.get("time", np.full(len(rows), np.nan))[first]
     return found | ({"time": float(time)} if np.isfinite(time) else {})
 
@@ -304,10 +306,10 @@ def what_moved(effect: Effect, rows: Dataset) -> str:
         return ""
     last, first = rows_around(effect.at, rows)
     who = f"the zero of {effect.where}" if effect.motion == ("axis",) else effect.where
-    if rows.file[last] == rows.file[first]:
-        between = f"rows {rows.line[last]} and {rows.line[first]}"
+    if rows.origin.file[last] == rows.origin.file[first]:
+        between = f"rows {rows.origin.line[last]} and {rows.origin.line[first]}"
     else:
-        ends = (f"row {rows.line[k]} of {rows.files[rows.file[k]].name}" for k in (last, first))
+        ends = (f"row {rows.origin.line[k]} of {rows.origin.files[rows.origin.file[k]].name}" for k in (last, first))
         between = " and ".join(ends)
     when = f" (from time {effect.at.numbers[0]:.6g} on)" if effect.at.of[0] == "time" else ""
     return f"{who} moved between {between}{when}"
@@ -356,12 +358,12 @@ def residual_columns_of(outcome: Outcome, rows: np.ndarray) -> dict[str, np.ndar
     m = outcome.measurements
     axes = residual_columns(m)
     table: dict[str, Any] = {
-        "file": np.array([path.name for path in m.files], dtype=object)[m.file[rows]],
-        "row": m.line[rows],
+        "file": np.array([path.name for path in m.origin.files], dtype=object)[m.origin.file[rows]],
+        "row": m.origin.line[rows],
         "split": np.where(m.test[rows], "test", "train"),
         "weight": np.where(outcome.outlier[rows], 0.0, 1.0),
         "outlier": outcome.outlier[rows].astype(int),
-        "stale": m.stale[rows].astype(int),
+        "stale": m.repeats.stale[rows].astype(int),
         **_labels(m, rows),
     }
     for stage in outcome.stages:
@@ -382,13 +384,13 @@ def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
     if m.direct:
         return {}
     names = np.array([block.name for block in m.blocks])
-    own, refers = m.block[rows], m.refers[rows]
+    own, refers = m.labels.block[rows], m.labels.refers[rows]
     table: dict[str, Any] = {"block": names[own]}
     for b, block in enumerate(m.blocks):
         for k, role in enumerate(labelled(block.kind)):
             column = table.setdefault(role.name, np.full(len(rows), "", dtype=object))
             column[own == b] = refers[own == b, k]
-    return table if m.target is None else table | {"target": m.target[rows]}
+    return table if m.labels.target is None else table | {"target": m.labels.target[rows]}
 
 
 def _convergence(fit: Fit) -> dict[str, Any]:

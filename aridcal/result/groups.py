@@ -82,7 +82,7 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
     """
     asked = []
     for number in range(len(rows.blocks)):
-        own = np.flatnonzero(rows.block == number)
+        own = np.flatnonzero(rows.labels.block == number)
         if len(own) < FEWEST:
             continue
         own = own[np.linspace(0, len(own) - 1, min(len(own), MOST)).round().astype(int)]
@@ -127,7 +127,7 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
     shift = r[few].mean(axis=0) - r[~few].mean(axis=0)
     along = shift / np.linalg.norm(shift)
     variance = float(np.mean(few)) * float(np.mean(~few)) * float(shift @ shift) / max(float(np.var(r @ along)), TINY)
-    lines = listed([str(line) for line in np.sort(rows.line[few]).tolist()])
+    lines = listed([str(line) for line in np.sort(rows.origin.line[few]).tolist()])
     what = (
         f"{few.sum()} of {len(few)} rows are {_shift(shift, channels)} off the others, {words}".rstrip(", ")
         + f": is the target seated otherwise there? Lines {lines}"

@@ -278,7 +278,7 @@ def scale_std(fit: Fit, train: Dataset) -> float | None:
 def _gauged(rows: Dataset) -> bool:
     """True if rows of planes read a gauge: lengths."""
     planes = [b for b, block in enumerate(rows.blocks) if block.traits.gauges]
-    return bool(np.any(rows.observed[np.isin(rows.block, planes), :1]))
+    return bool(np.any(rows.observed[np.isin(rows.labels.block, planes), :1]))
 
 
 def _of_places(things: Things) -> float:

@@ -174,7 +174,7 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
     mask, words = scored(outcome)
     sound = ~found.outlier
     last, rows, others = outcome.stages[-1], outcome.measurements, found.measurements
-    mask = mask & np.isin(rows.block, others.block)  # set beside the same instruments' rows
+    mask = mask & np.isin(rows.labels.block, others.labels.block)  # set beside the same instruments' rows
     own = overall(last.residual, mask, rows, outcome.noise)
     now = overall(found.residuals[last.name], sound, others, outcome.noise)
     told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)

@@ -220,7 +220,7 @@ def _outcome(
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *limb_redundancies(arm.geometry.geometric),
-            *(str(n) for n in rows.notices),
+            *(str(n) for n in rows.origin.notices),
         ),
         seconds=0.0,
         traces=trace(final, rows.select(traced), stages[1].residual[traced], stages[2].residual[traced], progress),
@@ -234,9 +234,9 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
     bodies = targets_of_one_body(rows, float(final.estimated[0]))
     if bodies > 1:
         yield ONE_BODY.format(bodies)
-    elif rows.share < 1.0:
+    elif rows.repeats.share < 1.0:
         place = held_together(rows)
-        yield ONE_PLACE.format(len(rows), place.max() + 1, rows.share * len(rows))
+        yield ONE_PLACE.format(len(rows), place.max() + 1, rows.repeats.share * len(rows))
 
 
 def _searched(train: Dataset, kept: int, campaign: Campaign, geometric: Fit) -> Iterator[str]:
@@ -278,7 +278,7 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
     # Of several targets of one body one is asked: the others err like it, whatever the model.
     one_each = kept, white
-    if rows.share < 1.0:
+    if rows.repeats.share < 1.0:
         first = np.unique(held_together(kept), return_index=True)[1]
         one_each = kept.select(first), white[first]
     asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
@@ -300,14 +300,14 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
     """
     some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST else ~outlier
     own = np.flatnonzero(some)
-    if rows.share < 1.0:
+    if rows.repeats.share < 1.0:
         own = own[np.unique(held_together(rows.select(own)), return_index=True)[1]]
     return groups(rows.select(own), residual[own], final)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
     """Sentences on effects of a side of approach that no column gave."""
-    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.derived]
+    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.origin.derived]
     return tuple(
         f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
         for name in dict.fromkeys(needed)
@@ -392,11 +392,11 @@ def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -
         load_measurements(campaign, robot.readings, limits, kinds, robot=robot, files=[table], fitted=False)
     )
     copied = _copied(rows, own)
-    if copied.all() or rows.sha256 == own.sha256:
+    if copied.all() or rows.origin.sha256 == own.origin.sha256:
         raise MeasurementError(
-            f"{rows.files[0]}: all {len(rows)} rows are the campaign's own, with the same joints and the same measurements, and "
-            "say nothing of another day. Give --verify what was measured at another time; how well held-out rows are met is in "
-            "the report without it"
+            f"{rows.title}: all {len(rows)} rows are the campaign's own, with the same joints and the same measurements, "
+            "and say nothing of another day. Give --verify what was measured at another time; how well held-out rows are met "
+            "is in the report without it"
         )
     return rows.select(~copied), int(copied.sum())
 
@@ -423,4 +423,4 @@ def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
     again = realigned(asked["final"][1], asked["final"][0])
     outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR
     residuals = {name: question.residual(found.theta) for name, (question, found) in asked.items()}
-    return Verification(rows.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative), copied)
+    return Verification(rows.origin.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative), copied)

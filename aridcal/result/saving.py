@@ -38,8 +38,13 @@ def calibration(outcome: Outcome) -> SavedModel:
     seen, final = seen_in(outcome), outcome.stage("final").fit
     record = {
         "campaign": campaign.text,
-        "data": {"files": [f.name for f in m.files], "sha256": m.sha256, "rows": len(m), "train": int(used.sum())},
-        "derived_columns": [name for name in m.derived if name in seen],
+        "data": {
+            "files": [f.name for f in m.origin.files],
+            "sha256": m.origin.sha256,
+            "rows": len(m),
+            "train": int(used.sum()),
+        },
+        "derived_columns": [name for name in m.origin.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
     tails = _tails(outcome, final)
@@ -53,8 +58,8 @@ def calibration(outcome: Outcome) -> SavedModel:
         record["frames_by"] = "target"
     solved = _solved(final, target)
     fitted = m.fitted.select(~outcome.outlier[m.train])
-    if target.labels and m.target is not None:
-        fitted = fitted.select(np.isin(m.target[used], target.labels))
+    if target.labels and m.labels.target is not None:
+        fitted = fitted.select(np.isin(m.labels.target[used], target.labels))
     std = solved.std(fitted.readings, fitted.covariates, _asked_by(fitted, target))
     if not target.turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
@@ -104,7 +109,7 @@ def recorded_in(outcome: Outcome) -> dict[str, np.ndarray]:
     """Numeric columns of the tables, as the fitted rows have them, by name, shape (n,) each."""
     m = outcome.measurements
     used = ~m.test & ~outcome.outlier
-    named = [name for name in m.covariates if name not in m.derived and not is_label(name)]
+    named = [name for name in m.covariates if name not in m.origin.derived and not is_label(name)]
     return {name: v for name in named if np.isfinite(v := m.covariates[name][used]).any()}
 
 
@@ -186,11 +191,11 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
     """The targets that instruments measured; the tip itself where cameras are all there is."""
     if m.direct:
         return _Target((), m.sees_turns, True, head)
-    every = () if m.target is None else tuple(sorted(set(m.target.tolist())))
+    every = () if m.labels.target is None else tuple(sorted(set(m.labels.target.tolist())))
 
     def kinds(labels: tuple[str, ...]) -> set[str]:
-        own = np.ones(len(m), dtype=bool) if m.target is None else np.isin(np.asarray(m.target), labels)
-        return {m.blocks[b].kind for b in np.unique(m.block[own])}
+        own = np.ones(len(m), dtype=bool) if m.labels.target is None else np.isin(np.asarray(m.labels.target), labels)
+        return {m.blocks[b].kind for b in np.unique(m.labels.block[own])}
 
     def level_alone(measured: set[str]) -> bool:
         return all(INSTRUMENTS[kind].level for kind in measured)
@@ -209,7 +214,7 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
 
 def _asked_by(rows: Dataset, target: _Target) -> np.ndarray | None:
     """Labels by which a saved model tells its frames apart: of stations, or of several targets."""
-    return rows.target if len(target.labels) > 1 else rows.station
+    return rows.labels.target if len(target.labels) > 1 else rows.labels.station
 
 
 def _solved(fit: Fit, target: _Target) -> SolvedModel:

@@ -103,7 +103,7 @@ def calibrated_arm(
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     if bodies > 1:
-        rows = replace(rows, share=1.0 / bodies)
+        rows = rows.with_repeats(share=1.0 / bodies)
         geometry = fit_constants(campaign, robot, rows, labels, progress)
 
     def fitted(data: Dataset, geometry: Geometry, before: Diagnosed | None = None) -> CalibratedArm:
@@ -115,10 +115,10 @@ def calibrated_arm(
     arm = fitted(rows, geometry)
     for _ in range(WEIGHED if bodies == 1 else 0):
         share = _share(rows, arm.diagnosed.fit)
-        if rows.share / CLEARER < share < rows.share * CLEARER:
+        if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
             break
         progress("weighing rows of one place by how alike they err, and looking again")
-        rows = replace(rows, share=share)
+        rows = rows.with_repeats(share=share)
         geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
         arm = fitted(rows, geometry, arm.diagnosed)
     hung = _hung_again(arm)
@@ -194,7 +194,7 @@ def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Progress) -> Cali
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
-    kept = KEPT_NOMINAL.format(len(np.unique(rows.configuration[rows.train])))
+    kept = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(_quiet(campaign), Geometry(geometry.nominal, frames, kept, free), rows, progress)
     causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
@@ -289,7 +289,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     part = data.select(used)
     squares = [_squares(fit, part) for fit in (smaller, larger)]
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
-    left = np.stack([np.bincount(part.configuration, (own / unit).sum(axis=1)) for own in squares])
+    left = np.stack([np.bincount(part.repeats.configuration, (own / unit).sum(axis=1)) for own in squares])
     gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
     return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
@@ -311,7 +311,7 @@ def _squares(fit: Fit, data: Dataset) -> np.ndarray:
     for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
         own = block == k
         sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
-        H, g = data.share * sums.information(fit.sigma), data.share * sums.pull(fit.sigma)
+        H, g = data.repeats.share * sums.information(fit.sigma), data.repeats.share * sums.pull(fit.sigma)
         left[own] = r[own] + J[own] @ solve(fit.information - H, g, ridge=RIDGE)
     return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)
 

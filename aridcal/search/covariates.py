@@ -17,7 +17,7 @@ from aridcal.model.standing import references
 
 def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
-    derived = {name: rows.covariates[name] for name in rows.derived}
+    derived = {name: rows.covariates[name] for name in rows.origin.derived}
     usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     frames = rows_of_data(model, rows)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
@@ -32,20 +32,22 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     table |= model.sight_columns(rows.readings, gravity, frames.tip, frames.route)
     # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
-    labels = [label_column(label) for label in labels_in(rows.station)]
+    labels = [label_column(label) for label in labels_in(rows.labels.station)]
     if len(labels) > MOST_LABELS:
         barred.append(
             Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
         )
         labels = []
-    table |= label_columns(labels, rows.station)
+    table |= label_columns(labels, rows.labels.station)
     observed = Observed(
         robot=model.robot,
         table=table,
         measured=tuple(usable),
         orientations=rows.sees_turns,
         held=model.instruments.held,
-        referred={(role, name): len(np.unique(rows.configuration[own])) for role, name, own in references(rows)},
+        referred={
+            (role, name): len(np.unique(rows.repeats.configuration[own])) for role, name, own in references(rows)
+        },
         labels=tuple(labels),
         masses=model.around.masses,
     )

@@ -215,8 +215,8 @@ def linear_model(
     known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
     geometric = np.array([known.get(name, 0.0) for name in current.model.names])
     r = r + A @ (current.theta - geometric)
-    if start.train.share != 1.0:
-        r, A, J = (np.sqrt(start.train.share) * values for values in (r, A, J))
+    if start.train.repeats.share != 1.0:
+        r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
     in_places, table = any(is_scatter(a.effect) for a in active), _table(start, asked, observed)
     together = (held_together if in_places else repeated)(start.train)
     run, fold = _folds(start.train, together)
@@ -238,7 +238,7 @@ def linear_model(
         off=off,
         present=start.train.measures,
         taken=asked.taken(current.weight),
-        share=start.train.share,
+        share=start.train.repeats.share,
         own=observed.robot.names,
         table=table,
     )

@@ -158,10 +158,12 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
     roles = [labelled(block.kind) for block in rows.blocks]
-    told = np.array([bool(own) for own in roles])[rows.block]
-    names = np.where(rows.refers[:, 2] != "", rows.refers[:, 2], np.where(told, rows.refers[:, 0], ""))
+    told = np.array([bool(own) for own in roles])[rows.labels.block]
+    names = np.where(
+        rows.labels.refers[:, 2] != "", rows.labels.refers[:, 2], np.where(told, rows.labels.refers[:, 0], "")
+    )
     title = np.array([own[-1].name if own else block.name for own, block in zip(roles, rows.blocks, strict=True)])
-    labels, thing = np.unique(np.char.add(np.char.add(title[rows.block], " "), names), return_inverse=True)
+    labels, thing = np.unique(np.char.add(np.char.add(title[rows.labels.block], " "), names), return_inverse=True)
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, own = np.bincount(thing), np.bincount(thing, square)
@@ -323,7 +325,7 @@ def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
 def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[Clue]:
     """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
     sequence = rows.sequence
-    by_file = sequence[np.argsort(rows.file[sequence], kind="stable")]
+    by_file = sequence[np.argsort(rows.origin.file[sequence], kind="stable")]
     orders = [by_file] if np.array_equal(by_file, sequence) else [by_file, sequence]
     found = []
     for order in orders:
@@ -371,7 +373,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     total = float(np.sum(views[best].white ** 2))
     share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
     k = int(before[np.argmax(steps[best])])
-    last, following = rows.line[order[k - 1 : k + 1]]
+    last, following = rows.origin.line[order[k - 1 : k + 1]]
     what = f"residuals jump between rows {last} and {following}{words}, {views[best].words}"
     return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
 

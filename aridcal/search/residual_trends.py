@@ -155,7 +155,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
     robot = fit.model.robot
     pulled, world = _pull(fit, rows, before, after)
     own = {p.motion: p for p in pulled}
-    measured = {name: values for name, values in rows.covariates.items() if name not in rows.derived}
+    measured = {name: values for name, values in rows.covariates.items() if name not in rows.origin.derived}
     complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
     asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}

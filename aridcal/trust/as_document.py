@@ -66,8 +66,8 @@ def _influence(found: Influence, train: Dataset) -> dict[str, Any]:
     """The rows that move the target most."""
     rows = [
         {
-            "file": train.files[train.file[k]].name,
-            "row": int(train.line[k]),
+            "file": train.origin.files[train.origin.file[k]].name,
+            "row": int(train.origin.line[k]),
             "shift_mm": 1e3 * float(found.shift[i]),
             "leverage": float(found.leverage[i]),
             "cook": float(found.cook[i]),

@@ -123,7 +123,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
     chosen = chosen[fit.weight[chosen] > 0.0]
     asked = agreed(asked if len(chosen) == len(asked) else asked.select(chosen), fit.theta)
     per = 1.0 / spread(sigma, asked.channels)
-    root = np.sqrt(fit.weight[chosen] * data.share)[:, None] * per
+    root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
     shape, count = root.shape, len(fit.theta)
     # Row by row in memory, for rows are what is picked out of them.
     r, J, B = np.empty(shape), np.empty((*shape, count)), np.empty((*shape, 0))
@@ -151,6 +151,6 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         group=asked.group_of(slice(None)),
         groups=asked.groups,
         known=asked.beforehand() or nothing,
-        share=data.share,
+        share=data.repeats.share,
         target=target,
     )

@@ -247,7 +247,7 @@ def _compared(
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
     left = round(float(numbers)) - spent
     least = np.full(flat.shape[1], np.inf)
-    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.route), strict=True):
+    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.labels.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
         root = root_of_inverse(M, RANK)
         d = len(root)

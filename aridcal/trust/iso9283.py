@@ -181,7 +181,11 @@ def _pairs(rows: Dataset, cycles: Sequence[np.ndarray]) -> np.ndarray:
     """Pairs of poses at one station, of many poses of the first of them, shape (D, 2)."""
     first = [group[0] for group in cycles[:MOST_PAIRED]]
     pairs = itertools.combinations(range(len(first)), 2)
-    together = [p for p in pairs if rows.station is None or rows.station[first[p[0]]] == rows.station[first[p[1]]]]
+    together = [
+        p
+        for p in pairs
+        if rows.labels.station is None or rows.labels.station[first[p[0]]] == rows.labels.station[first[p[1]]]
+    ]
     return np.array(together, dtype=int).reshape(-1, 2)
 
 
@@ -196,7 +200,7 @@ def _figures(
 ) -> Figures:
     """All figures with one model as the command."""
     some = np.concatenate(cycles)
-    label = [None] * len(rows) if rows.station is None else rows.station.tolist()
+    label = [None] * len(rows) if rows.labels.station is None else rows.labels.station.tolist()
     frame = dict(bases)
     base = [frame[label[k]] if label[k] in frame else bases[0][1] for k in some]
     command = np.array([b.actInv(p) for b, p in zip(base, rows.position[some] - residual[some, :3], strict=True)])
@@ -280,7 +284,9 @@ def _directions(rows: Dataset, group: np.ndarray) -> np.ndarray:
     What was derived from the order of rows is no knowledge: others may have been left out.
     """
     names = [f"{name}_direction" for name in rows.names]
-    known = [rows.covariates[name][group] for name in names if name in rows.covariates and name not in rows.derived]
+    known = [
+        rows.covariates[name][group] for name in names if name in rows.covariates and name not in rows.origin.derived
+    ]
     if not known:
         return np.zeros(len(group), dtype=int)
     columns = np.column_stack(known)
@@ -300,7 +306,8 @@ def document(found: Iso9283, rows: Dataset) -> dict[str, Any]:
     models = {"nominal": found.nominal, "final": found.final}
     of_poses = [symbol for symbol in found.final if symbol not in OF_PAIRS]
     names = [
-        {"file": rows.files[rows.file[group[0]]].name, "row": int(rows.line[group[0]])} for group in found.cycles
+        {"file": rows.origin.files[rows.origin.file[group[0]]].name, "row": int(rows.origin.line[group[0]])}
+        for group in found.cycles
     ]  # of the first cycle
     return {
         "standard": STANDARD,

@@ -86,7 +86,7 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
         def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             like = np.full(len(readings), train.as_read[-1])
             covariates = {name: values[like] for name, values in train.conditions.items()}
-            station, target = (None if v is None else v[like] for v in (train.station, train.target))
+            station, target = (None if v is None else v[like] for v in (train.labels.station, train.labels.target))
             R, p = fit.model.poses(fit.theta, fit.model.rows(readings, covariates, station, target))
             return R, p + R @ np.array(asked.tool)
 

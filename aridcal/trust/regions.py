@@ -160,21 +160,21 @@ def _divided(
 
 def _of_labels(final: Fit, rows: Dataset, fitted: np.ndarray) -> Regions:
     """A region for each label that deviates, and, if frames are the same for all labels, one for any other."""
-    assert rows.station is not None
+    assert rows.labels.station is not None
     known = [label_in(name) for name in labels_of(c.basis for c in final.model.coefficients)]
     at = rows_of_data(final.model, rows)
     places = final.model.target_places(at, rows.readings)
     nothing = np.zeros(0)
-    apart = len(final.model.world_base) > 1 or (rows.target is None and len(final.model.tip_target) > 1)
+    apart = len(final.model.world_base) > 1 or (rows.labels.target is None and len(final.model.tip_target) > 1)
     every = []
     for number, label in enumerate(known if apart else [*known, ""]):
-        own = rows.station == label if label else ~np.isin(rows.station, known)
+        own = rows.labels.station == label if label else ~np.isin(rows.labels.station, known)
         far = np.linalg.norm(places - (places[own & fitted] if (own & fitted).any() else places).mean(axis=0), axis=1)
         far = np.where(own, -1.0, far) if label else np.zeros(len(rows))
         order = np.argsort(np.where(fitted, far, np.inf), kind="stable")
         count = min(max(ROWS_AROUND, int((own & fitted).sum())), int(fitted.sum()))
         around = rows.select(np.sort(order[:count]))
-        around = replace(around, station=np.full(len(around), label))
+        around = around.with_labels(station=np.full(len(around), label))
         found = _constants(final, around)
         every.append(Region(f"region_{number + 1:02d}", nothing, nothing, nothing, own, found, label))
     return Regions((), nothing, tuple(every))
@@ -247,9 +247,9 @@ def _constants(final: Fit, around: Dataset) -> Fit:
     turns = R if around.sees_turns else None
     wanted = dataset(
         robot.readings, robot.kinds, around.readings, p, turns, sigma=sigma[: 1 if turns is None else 2],
-        station=around.station, covariates=around.covariates,
+        station=around.labels.station, covariates=around.covariates,
     )  # fmt: skip
-    wanted = replace(wanted, target=around.target)
+    wanted = wanted.with_labels(target=around.labels.target)
     known = dict(zip(final.model.coefficients, final.theta.tolist(), strict=True))
     of_things = dict(zip(final.model.coefficients, final.model.at_things.tolist(), strict=True))
     frames = ("world_base", "tip_target")

@@ -218,7 +218,7 @@ def beyond(
         return None
     count = float(told[there].sum())
     per_row = squares[there] / told[there]
-    configurations = len(np.unique(own.configuration[there]))
+    configurations = len(np.unique(own.repeats.configuration[there]))
     # Rows whose squares vary more than those of normal errors count for fewer, and repeats of a configuration for one.
     wild = max(
         1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / there.sum() / 2.0

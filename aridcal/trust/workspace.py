@@ -233,7 +233,7 @@ class Knowledge:
     def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
         """Other readings as the model sees them."""
         covariates = {name: values[like] for name, values in data.conditions.items()}
-        station, target = (None if v is None else v[like] for v in (data.station, data.target))
+        station, target = (None if v is None else v[like] for v in (data.labels.station, data.labels.target))
         return self.fit.model.rows(readings, covariates, station, target)
 
     def _bases(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:

@@ -147,7 +147,7 @@ def asked(
         wandering: What the model may leave that neighbouring rows share; None: nothing.
     """
     scale, tails = noise.core
-    held_out = rows.test if rows.split_given else np.zeros(len(rows), dtype=bool)
+    held_out = rows.test if rows.origin.split_given else np.zeros(len(rows), dtype=bool)
     numbers = np.array([channel.size for channel in rows.channels])
     return Question(
         problem=problem(wide.model, rows),
@@ -280,7 +280,7 @@ def _next(
         seen = evidence(here, question.times, np.diag(here.root)[:, row_of == row], GROSS)
         dropped = question.dropped.copy()
         dropped[row] = True
-        line = str(rows.line[row])
+        line = str(rows.origin.line[row])
         off = Cause("row", line, f"row {line} alone, which is off by itself", 0.0)
         found.append((seen.total - float(np.log(len(measured))), off, replace(question, dropped=dropped)))
     logs = np.array([value for value, _, _ in found])

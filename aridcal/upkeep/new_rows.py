@@ -131,7 +131,7 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
 def _refuse_unknown_labels(saved: SavedModel, rows: Dataset) -> None:
     """Refuse rows of a station that constants by station are not known of: a deviation there would look like a change."""
     known = [label_in(name) for name in labels_of(c.basis for c in saved.final.model.coefficients)]
-    given = [""] if rows.station is None else np.unique(rows.station).tolist()
+    given = [""] if rows.labels.station is None else np.unique(rows.labels.station).tolist()
     other = [label for label in given if label not in known] if known else []
     if other:
         what = f"station {other[0]!r} is none" if other[0] else "the rows' `station` is none"
@@ -212,28 +212,33 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
         MeasurementError: the calibration has several targets, and a row does not say which it is of.
     """
     known = [label for label, _ in saved.final.model.tip_target]
-    if rows.target is None and not rows.direct and other:
+    if rows.labels.target is None and not rows.direct and other:
         names = [own_target(b.traits, b.name) for b in rows.blocks]
-        rows = replace(rows, target=np.array(names)[rows.block])
-    if rows.target is None and saved.frames_by == "target":
+        rows = rows.with_labels(target=np.array(names)[rows.labels.block])
+    if rows.labels.target is None and saved.frames_by == "target":
         several = listed([str(label) for label in known])
         raise MeasurementError(
             f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
         )
-    if known != [None] or rows.target is None:
+    if known != [None] or rows.labels.target is None:
         return _plain(rows)
     apart = {TIP, *(b.name for b in rows.blocks if b.traits.level)}
-    placed = sorted(set(rows.target.tolist()) - apart)
+    placed = sorted(set(rows.labels.target.tolist()) - apart)
     if not other and len(placed) == 1:  # the calibration does not keep the name of its only target
-        rows = replace(rows, target=np.where(rows.target == placed[0], ONE_TARGET, rows.target))
-    same = set(np.asarray(rows.target).tolist()) == {ONE_TARGET}
-    return _plain(replace(rows, target=None)) if same else rows
+        rows = rows.with_labels(target=np.where(rows.labels.target == placed[0], ONE_TARGET, rows.labels.target))
+    same = set(np.asarray(rows.labels.target).tolist()) == {ONE_TARGET}
+    return _plain(rows.with_labels(target=None)) if same else rows
 
 
 def _plain(rows: Dataset) -> Dataset:
     """Rows of one tracker and one target with this tracker as faultless, as the calibration's own are."""
-    if len(rows.blocks) == 1 and rows.blocks[0].traits.tracked and rows.target is None and rows.route is None:
-        return replace(rows, refers=np.full_like(rows.refers, ""), instruments=Instruments())
+    if (
+        len(rows.blocks) == 1
+        and rows.blocks[0].traits.tracked
+        and rows.labels.target is None
+        and rows.labels.route is None
+    ):
+        return replace(rows, instruments=Instruments()).with_labels(refers=np.full_like(rows.labels.refers, ""))
     return rows
 
 

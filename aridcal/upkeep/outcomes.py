@@ -18,6 +18,7 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.stages import recentred
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
+from aridcal.inputs.row_facts import Labels
 from aridcal.inputs.things import Known, Rows, instruments_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.setup import Block
@@ -95,7 +96,7 @@ def repair_outcomes(saved: SavedModel, checked: Checked, mended: Repaired) -> Re
     why = (f"what remains of the new rows is more than their noise (p = {checked.rest.p_value:.2g})",) if odd else ()
     verdict = Verdict("structure_remains" if odd else "noise_floor", share, why)
     used = ~checked.question.dropped
-    held_out = checked.rows.test if checked.rows.split_given else np.zeros(len(used), dtype=bool)
+    held_out = checked.rows.test if checked.rows.origin.split_given else np.zeros(len(used), dtype=bool)
     rows = replace(checked.rows, test=held_out)
     return RepairOutcomes(
         rows=_outcome(saved.campaign, rows, of_rows, ~used & ~held_out, noise, verdict),
@@ -124,7 +125,7 @@ def _outcome(
         repeats=None,
         precision=precision(stages[-1].fit, rows),
         verdict=verdict,
-        notices=tuple(str(notice) for notice in rows.notices),
+        notices=tuple(str(notice) for notice in rows.origin.notices),
         seconds=0.0,
         traces=Traces((), (), 0, Order(False, rows.as_read, np.zeros(0), np.zeros(0), 0.0, 0, 0.0, 0.0, 1.0)),
     )
@@ -157,19 +158,21 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     assert saved.campaign is not None
     model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
-    refers = with_trackers(rows.refers, blocks, rows.block, rows.names)
+    refers = with_trackers(rows.labels.refers, blocks, rows.labels.block, rows.names)
     known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
-    target = rows.station
+    target = rows.labels.station
     ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
     return replace(
         rows,
-        station=None,
         blocks=blocks,
-        refers=refers,
         instruments=instruments_of(known, [Rows(kind, refers)], rows.names, False)[0],
-        target=target,
-        routes=model.routes,
-        route=np.array([model.routes.index(Route(None, end)) for end in ends]),
+        labels=Labels(
+            block=rows.labels.block,
+            refers=refers,
+            target=target,
+            route=np.array([model.routes.index(Route(None, end)) for end in ends]),
+            routes=model.routes,
+        ),
     )
 
 

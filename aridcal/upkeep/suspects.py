@@ -94,8 +94,8 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
         )
         for joint in model.robot.joints
     ]
-    stations = set() if rows.station is None else set(rows.station.tolist())
-    targets = stations if rows.target is None else set(rows.target.tolist()) - {TIP}
+    stations = set() if rows.labels.station is None else set(rows.labels.station.tolist())
+    targets = stations if rows.labels.target is None else set(rows.labels.target.tolist()) - {TIP}
     for where, frames, noun in (
         ("world_base", model.world_base, "the base (or the instrument)"),
         ("tip_target", model.tip_target, "the tool (or the target on it)"),
@@ -109,7 +109,7 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
                 if rows.sees_turns or where == "world_base" or c not in ANGULAR
             ]
             name = where if label is None else f"{where}[{label}]"
-            at = "station" if rows.target is None or where == "world_base" else "target"
+            at = "station" if rows.labels.target is None or where == "world_base" else "target"
             words = (
                 noun if label is None else f"{noun} at station {label}" if at == "station" else f"the target {label}"
             )

@@ -119,8 +119,8 @@ def _of_target(saved: SavedModel, unknowns: Wide, question: Question, readings: 
     middle = {name: np.full(n, np.mean(saved.ranges[name])) for name in model.needs if name in saved.ranges}
     known = [label for label, _ in saved.final.model.tip_target]
     label = ONE_TARGET if unknowns.renamed else known[0]
-    target = None if label is None or data.target is None else np.full(n, label)
-    station = None if data.station is None else np.repeat(data.station[:1], n)
+    target = None if label is None or data.labels.target is None else np.full(n, label)
+    station = None if data.labels.station is None else np.repeat(data.labels.station[:1], n)
     return model.rows(readings, middle, station, target)
 
 

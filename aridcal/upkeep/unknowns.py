@@ -78,7 +78,7 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
     model, theta = solved.model.recentred(solved.theta)
     known = [label for label, _ in model.tip_target]
     model = _with_targets(model, rows)
-    renamed = known == [None] and rows.target is not None
+    renamed = known == [None] and rows.labels.target is not None
     new: set[Place] = {("tip_target", label) for label, _ in model.tip_target if label not in (*known, None, TIP)}
     new -= {("tip_target", ONE_TARGET)} if renamed else set()
     fixed: set[Place] = {("tip_target", TIP)}
@@ -108,7 +108,7 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
 
 def _with_targets(model: Model, rows: Dataset) -> Model:
     """The model with a frame on the tip, and its constants, for each target of the rows."""
-    if rows.target is None:
+    if rows.labels.target is None:
         return model
     frames = dict(model.tip_target)
     own = list(model.coefficients)
@@ -116,7 +116,7 @@ def _with_targets(model: Model, rows: Dataset) -> Model:
         frames[ONE_TARGET] = frames.pop(None)
         mine = [c.where == "tip_target" and c.basis.constant for c in own]
         own = [replace(c, station=ONE_TARGET) if m else c for c, m in zip(own, mine, strict=True)]
-    for label in sorted(set(rows.target.tolist()) - set(frames)):
+    for label in sorted(set(rows.labels.target.tolist()) - set(frames)):
         frames[label] = pin.SE3.Identity()
         if label != TIP:
             own += [Coefficient("tip_target", component, station=label) for component in FRAME_COMPONENTS]
@@ -152,10 +152,14 @@ def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> 
     anywhere = ("world_base", None) in new
     arm = replace(model, tip_target=ONE_FRAME, world_base=ONE_FRAME if anywhere else model.world_base)
     arm, own = _without_target(arm, theta, anywhere)
-    asked = rows_of_data(arm, replace(rows, target=None))
+    asked = rows_of_data(arm, rows.with_labels(target=None))
     R, p = arm.poses(own, asked)
     names = [label for label, _ in model.tip_target]
-    number = np.zeros(len(rows), dtype=int) if rows.target is None else np.array([names.index(t) for t in rows.target])
+    number = (
+        np.zeros(len(rows), dtype=int)
+        if rows.labels.target is None
+        else np.array([names.index(t) for t in rows.labels.target])
+    )
     held = {k: frame for k, (label, frame) in enumerate(model.tip_target) if ("tip_target", label) not in new}
     hints = {k: frame for k, (_, frame) in enumerate(model.tip_target)}
     found = beginning(rows, seen, R, p, number, hints, held, None if anywhere else pin.SE3.Identity())

@@ -1,0 +1,124 @@
+"""What a data set holds beside the measured numbers: where rows come from, what they refer to, and which repeat others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from aridcal.inputs.remarks import Remark
+from aridcal.robot.chain import Route
+
+ROLES = 3
+"""Things that a row may refer to: a camera, a board and a marker."""
+
+Facts = TypeVar("Facts", "Origin", "Labels", "Repeats")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where rows come from.
+
+    Attributes:
+        file: Index into `files`, shape (N,).
+        line: Line of the file, the header being line 1, shape (N,).
+        order: The same counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
+        files: The files that were read.
+        sha256: Hash of their bytes; of several blocks, of the blocks' hashes.
+        refused: Rows that cannot be used, each named once; they are not among the N.
+        notices: What is odd but used: rows outside limits, columns that are ignored.
+        split_given: True if the files say which rows are held out.
+        derived: Covariates that no file holds: the side of approach, from the order of rows.
+    """
+
+    file: np.ndarray
+    line: np.ndarray
+    order: np.ndarray
+    files: tuple[Path, ...] = ()
+    sha256: str = ""
+    refused: tuple[Remark, ...] = ()
+    notices: tuple[Remark, ...] = ()
+    split_given: bool = False
+    derived: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Labels:
+    """What rows refer to.
+
+    Attributes:
+        block: Index into the data set's blocks, shape (N,).
+        refers: Labels of the things that the row refers to, in the order of its kind's roles, shape (N, 3); empty where
+            it has fewer roles.
+        station: Label of the rows that share a frame, shape (N,); None if there is no such column.
+        target: Label of the row's frame on the tip, shape (N,); None where there is one for all.
+        route: Number of each row's path among ``routes``, shape (N,); None where all take the first.
+        routes: The paths through the robot's tree that rows take.
+    """
+
+    block: np.ndarray
+    refers: np.ndarray
+    station: np.ndarray | None = None
+    target: np.ndarray | None = None
+    route: np.ndarray | None = None
+    routes: tuple[Route, ...] = (Route(),)
+
+
+@dataclass(frozen=True)
+class Repeats:
+    """Which rows repeat others.
+
+    Attributes:
+        configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
+        stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
+        doubtful: The same rows and those that they repeat: that the later one is stale, the order of rows says alone.
+        share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
+    """
+
+    configuration: np.ndarray
+    stale: np.ndarray
+    doubtful: np.ndarray
+    share: float = 1.0
+
+
+def untold(rows: int) -> Labels:
+    """Labels of rows of one block that refer to nothing."""
+    return Labels(np.zeros(rows, dtype=int), np.zeros((rows, ROLES), dtype=str))
+
+
+def selected(facts: Facts, rows: np.ndarray) -> Facts:
+    """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
+    of_all = {f.name: getattr(facts, f.name) for f in fields(facts)}
+    return replace(facts, **{name: value[rows] for name, value in of_all.items() if isinstance(value, np.ndarray)})
+
+
+def labels_together(labels: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
+    """Labels of the rows of several parts, shape (N,), empty where a part has none; None where no part has any."""
+    if all(words is None for words in labels):
+        return None
+    return np.concatenate(
+        [np.full(n, "", dtype=str) if words is None else words for words, n in zip(labels, counts, strict=True)]
+    )
+
+
+def origins_together(parts: Sequence[Origin], sha256: str) -> Origin:
+    """Where the rows of several parts come from, one part after the other, their order counted on."""
+    order, file, files, last = [], [], 0, 0.0
+    for part in parts:
+        order.append(part.order + last)
+        last += float(part.order[np.isfinite(part.order)].max(initial=0.0))
+        file.append(part.file + files)
+        files += len(part.files)
+    return Origin(
+        file=np.concatenate(file),
+        line=np.concatenate([part.line for part in parts]),
+        order=np.concatenate(order),
+        files=tuple(path for part in parts for path in part.files),
+        sha256=sha256,
+        refused=tuple(remark for part in parts for remark in part.refused),
+        notices=tuple(remark for part in parts for remark in part.notices),
+        split_given=all(part.split_given for part in parts),
+    )
