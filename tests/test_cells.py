@@ -12,8 +12,10 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import two_arms
+from scipy.spatial.transform import Rotation
 
 import aridcal
+from aridcal.errors import AridcalError
 
 LIMIT = 1.3
 """Held-out errors of a fifth of 200 rows or more scatter by less."""
@@ -156,3 +158,85 @@ def test_fingers_touch_a_plate_on_the_other_hand_or_one_table(on: str, tmp_path:
     found = aridcal.calibrate(path)
     at_the_noise(found, "distance")
     assert noticed(found, "right_j1 (limb to right_hand)", "left_j1 (limb to left_hand)")
+
+
+STATIONS = {
+    "north": pin.SE3(Rotation.from_rotvec([0.3, -0.2, 2.0]).as_matrix(), np.array([2.0, -1.0, 0.5])),
+    "south": pin.SE3(Rotation.from_rotvec([0.0, 0.1, -1.0]).as_matrix(), np.array([-1.5, 2.5, 0.3])),
+}
+
+
+def moved_tracker(folder: Path, touches: bool) -> tuple[Path, two_arms.Machine]:
+    """A tracker that sees the targets of a positioner and of an arm from two places, and perhaps touches of a finger."""
+    text, machine = positioner()
+    rng, links = np.random.default_rng(2), {"turntable": "plate", "tool": "flange"}
+    q = rng.uniform(-1.1, 1.1, (300, len(machine.joints)))
+    target = np.where(np.arange(300) % 2, "turntable", "tool")
+    station = np.where(np.arange(300) < 150, "north", "south")
+    seen = {name: machine.seen(q, "cell", link) for name, link in links.items()}
+    places = [
+        STATIONS[s].act(seen[t][k].act(cells.FINGER)) for k, (s, t) in enumerate(zip(station, target, strict=True))
+    ]
+    read = np.array(places) + rng.normal(0, cells.SIGMA, (300, 3))
+    tables = {"tracker": machine.table(q, target=target, station=station, **dict(zip(XYZ, read.T, strict=True)))}
+    noise = {"position": cells.SIGMA}
+    blocks: list[dict[str, Any]] = [{"kind": "position", "file": "tracker.csv", "noise": noise}]
+    things: dict[str, Any] = {
+        "targets": {name: {"on": link, "xyz": (cells.FINGER + 0.01).tolist()} for name, link in links.items()}
+    }
+    if touches:
+        label = np.arange(300) % len(SPOTS)
+
+        def off(q: np.ndarray, k: np.ndarray) -> np.ndarray:
+            fingers = np.array([T.act(cells.FINGER) for T in machine.seen(q, "plate", "flange")])
+            return np.asarray(fingers - SPOTS[label[k]] - error[k])
+
+        error = rng.normal(0, cells.SIGMA, (300, 3))
+        there, good = cells.met(machine, rng.uniform(-1.1, 1.1, (300, len(machine.joints))), off)
+        tables["touch"] = machine.table(there[good], point=label[good].astype(str), target="tool")
+        tables["spots"] = pd.DataFrame(SPOTS, columns=XYZ).assign(point=[str(k) for k in range(len(SPOTS))])
+        blocks.append({"kind": "point", "file": "touch.csv", "noise": dict(noise)})
+        things["points"] = {"file": "spots.csv", "on": "plate"}
+    keys: dict[str, Any] = {"measurements": blocks if touches else blocks[0], "instruments": things}
+    frames = {"world_base": {"per": "station"}}
+    robot = {"base": "cell", "tip": "flange"}
+    return cells.write(folder, text, robot, tables, frames=frames, **keys), machine
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_a_tracker_that_was_moved_sees_the_targets_of_two_limbs(touches: bool, tmp_path: Path) -> None:
+    """Predictions of either target at either station are Pinocchio's; touches from limb to limb need no station."""
+    path, machine = moved_tracker(tmp_path, touches)
+    found = aridcal.calibrate(path)
+    at_the_noise(found, "position_position" if touches else "position")
+    rng = np.random.default_rng(3)
+    others = rng.uniform(-1.0, 1.0, (60, len(machine.joints)))
+    for name, link in (("turntable", "plate"), ("tool", "flange")):
+        for station, T in STATIONS.items():
+            table = machine.table(others, target=np.full(60, name), station=np.full(60, station))
+            told = found.predict(table)[XYZ].to_numpy(float)
+            real = np.array([T.act(place.act(cells.FINGER)) for place in machine.seen(others, "cell", link)])
+            assert np.sqrt(np.mean(np.sum((told - real) ** 2, axis=1))) < 1.5e-4, (name, station)
+    bare = machine.table(others, target=np.full(60, "tool"))
+    with pytest.raises(AridcalError, match="station"):
+        found.predict(bare)
+
+
+def test_a_moved_tracker_s_limbs_are_checked_and_commanded_at_a_station(tmp_path: Path) -> None:
+    """A commanded pose of the tool at the second station is reached by the real arm; a moved tracker is noticed."""
+    path, machine = moved_tracker(tmp_path, False)
+    found = aridcal.calibrate(path)
+    found.save(tmp_path / "results")
+    found = aridcal.load(tmp_path / "results")
+    rng = np.random.default_rng(5)
+    q = rng.uniform(-0.8, 0.8, (12, len(machine.joints)))
+    south = STATIONS["south"]
+    read = np.array([south.act(T.act(cells.FINGER)) for T in machine.seen(q, "cell", "flange")])
+    table = machine.table(q, target="tool", station="south", **dict(zip(XYZ, read.T, strict=True)))
+    commands = found.compensate(table)
+    reached = commands[list(machine.joints)].to_numpy(float)
+    real = np.array([south.act(T.act(cells.FINGER)) for T in machine.seen(reached, "cell", "flange")])
+    assert np.abs(real - read).max() < 3e-4
+    noisy = table.assign(**{name: table[name] + rng.normal(0, cells.SIGMA, 12) for name in XYZ})
+    assert found.check(noisy).good
+    assert not found.check(noisy.assign(x=noisy["x"] + 0.003)).good

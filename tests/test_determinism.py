@@ -97,7 +97,7 @@ def test_permuted_rows_are_read_as_the_same_data_to_the_last_bit(campaign: Path,
         and here.repeats.doubtful.sum() == 2
         and here.repeats.stale.sum() == 1
     )
-    assert not np.array_equal(here.origin.line, there.line)
+    assert not np.array_equal(here.origin.line, there.origin.line)
     for name in (f.name for f in fields(Dataset)):
         a, b = getattr(here, name), getattr(there, name)
         if isinstance(a, np.ndarray) and name not in PLACES | (BY_ORDER if "time" not in table else set()):

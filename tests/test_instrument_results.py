@@ -370,7 +370,7 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
     m = outcome.measurements
     (tmp_path / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     saved = aridcal.load(tmp_path)
-    rows = np.arange(len(m)) if m.labels.target is None else np.flatnonzero(m.target != "tip")
+    rows = np.arange(len(m)) if m.labels.target is None else np.flatnonzero(m.labels.target != "tip")
     queries = pd.DataFrame(m.readings[rows], columns=outcome.robot.readings)
     if name == "targets":
         with pytest.raises(AridcalError, match="several targets"):
@@ -393,7 +393,7 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
 def test_predictions_are_where_the_target_truly_is_but_for_the_place_of_the_base(name: str) -> None:
     arm, data = measured(name)
     outcome = found(name)
-    own = np.flatnonzero(data.test if data.labels.target is None else data.test & (data.target != "tip"))
+    own = np.flatnonzero(data.test if data.labels.target is None else data.test & (data.labels.target != "tip"))
     told = outcome.at_target.places[own]
     true = arm.poses(data.readings[own])[1]
     if name == "targets":

@@ -166,11 +166,11 @@ def test_blocks_of_every_kind_are_one_data_set(tmp_path: Path) -> None:
         assert own.test.sum() == round(0.2 * ROWS)
         assert np.isfinite(own.position).all() == (kind in ("pose", "position"))
         label = {"pixels": "tip", "inclination": "inclination"}.get(kind, "target")
-        assert own.labels.target is not None and set(own.target) == {label}
+        assert own.labels.target is not None and set(own.labels.target) == {label}
         assert np.isfinite(own.covariates["time"]).all() == (kind == "distance")
     assert data.rotation is not None and data.instruments.world
     np.testing.assert_array_equal(
-        data.rotation[data.labels.block == 0].reshape(-1, 9), data.observed[data.block == 0, 3:]
+        data.rotation[data.labels.block == 0].reshape(-1, 9), data.observed[data.labels.block == 0, 3:]
     )
     assert np.unique(data.origin.order).size == len(data)
 
@@ -185,7 +185,9 @@ def test_rows_alike_in_joints_are_no_repeats_at_another_thing(tmp_path: Path) ->
     data = load(write(tmp_path, tables))
     first = data.repeats.configuration[(data.labels.block == 0) & (data.origin.line < 6)]
     assert first[0] == first[1] != first[2] == first[3]
-    assert not set(data.repeats.configuration[data.labels.block == 0]) & set(data.configuration[data.block == 1])
+    assert not set(data.repeats.configuration[data.labels.block == 0]) & set(
+        data.repeats.configuration[data.labels.block == 1]
+    )
     assert len(set(data.repeats.configuration[data.labels.block == 1])) == 3
 
 
@@ -320,7 +322,9 @@ def test_a_board_has_known_markers_and_a_place_that_is_sought(tmp_path: Path) ->
     board, marker = data.instruments.things["board"], data.instruments.things["marker"]
     assert board.free.all() and np.isnan(board.start).all() and not data.instruments.world
     assert marker.names == ("a", "b") and not marker.free.any() and marker.start[1].tolist() == [0.1, 0, 0]
-    assert {r.why for r in data.origin.refused} == {"no such marker in markers.csv"} and len(data.refused) == ROWS // 3
+    assert {r.why for r in data.origin.refused} == {"no such marker in markers.csv"} and len(
+        data.origin.refused
+    ) == ROWS // 3
     keys["markers"] |= {"xyz": [0, 0, 1], "rpy": [0, 0, np.pi / 2], "identify": False}
     data = load(write(tmp_path, {"pixels": table("pixels")}, instruments=keys))
     board = data.instruments.things["board"]
@@ -469,7 +473,13 @@ BLOCKS: dict[str, tuple[list[dict[str, Any]], dict[str, Any], str]] = {
     "a head among others": ([{"kind": "point"}, {"kind": "camera_sonar", "head": "h.yaml"}], {}, r"\[1\]\.kind: camera_sonar"),
     "a target of pixels": ([{"kind": "pixels"}], {"frames": {"tip_target": {"xyz": [0, 0, 1]}}}, r"tip_target: .*delete"),
     "stations of several targets": (
-        [{"kind": "point"}, {"kind": "inclination"}], {"frames": {"world_base": {"per": "station"}}}, "is not for several"
+        [{"kind": "point"}, {"kind": "inclination"}], {"frames": {"tip_target": {"per": "station"}}}, "is not for several"
+    ),
+    "stations of things in the world": (
+        [{"kind": "point"}], {"frames": {"world_base": {"per": "station"}}}, r"world_base: .* rows of a tracker, and point"
+    ),
+    "stations of a level": (
+        [{"kind": "position"}, {"kind": "inclination"}], {"frames": {"world_base": {"per": "station"}}}, "and inclination"
     ),
     "an empty name": ([{"kind": "point", "name": " "}], {}, r"measurements\.name: is empty; give"),
 }  # fmt: skip

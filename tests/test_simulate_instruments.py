@@ -114,7 +114,7 @@ def misfits(rows: Dataset, truth: dict, on_tip: bool = True) -> dict[str, np.nda
     found = {}
     for number, block in enumerate(rows.blocks):
         own = rows.select(rows.labels.block == number)
-        label = own.labels.target if own.target is not None else np.full(len(own), next(iter(frames)))
+        label = own.labels.target if own.labels.target is not None else np.full(len(own), next(iter(frames)))
         kind = KINDS[block.kind]
         R, p = np.empty((len(own), 3, 3)), np.empty((len(own), 3))
         for name in np.unique(label):

@@ -174,7 +174,7 @@ def test_halves_keep_all_held_out_rows_and_half_of_the_others(campaign: Path) ->
     whole = identify(campaign).measurements
     for seed in range(2):
         rows = identify(campaign, choose=half(seed)).measurements
-        assert set(rows.origin.line[rows.test]) == set(whole.line[whole.test])
+        assert set(rows.origin.line[rows.test]) == set(whole.origin.line[whole.test])
         sizes.append(int(rows.train.sum()))
         kept.append(frozenset(rows.origin.line[rows.train].tolist()))
     assert sizes == [math.ceil(whole.train.sum() / 2)] * 2

@@ -197,9 +197,8 @@ def _looked_at(
     """Poses and Jacobian of one calibration, as it stood at its last row."""
     model = solved.model
     last = {name: np.full(len(readings), saved.seen.get(name, (0.0, 0.0))[1]) for name in OVER_TIME}
-    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    station = np.full(len(readings), labels[0]) if labels and target is None else None
-    rows = model.rows(readings, dict(covariates) | last, station, target)
+    base, tip = (None if label is None else np.full(len(readings), label) for label in model.first_labels)
+    rows = model.rows(readings, dict(covariates) | last, base, tip if target is None else target)
     return model.jacobian(solved.theta, rows)
 
 

@@ -108,10 +108,10 @@ def unused_links(robot: Robot, which: str) -> list[str]:
 
 
 def station_labels(campaign: Campaign, data: Dataset) -> tuple[str, ...]:
-    """All stations, sorted, where a frame is one for each of them; else none."""
+    """All stations, sorted, where a frame is one for each of them; else none. Rows from link to link may have none."""
     if data.labels.station is None or not per_station(campaign):
         return ()
-    return tuple(sorted({str(s) for s in data.labels.station}))
+    return tuple(sorted({str(s) for s in data.labels.station} - {""}))
 
 
 def stage_urdf(fit: Fit) -> bytes:

@@ -143,11 +143,11 @@ def _start(
     fixed = not measures_target(train)
     held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not stated[names[k]].identify}
     known = None if world.identify and has_world(train) else placement(world)
-    found = beginning(train, seen, R, p, number, hints, held, known)
+    found = beginning(train, seen, R, p, number, hints, held, _frame_of_each_row(world, train, labels), known)
     return Model(
         robot,
         frames,
-        ((None, found.world_base),),
+        _labelled(world, found.world_base, labels),
         tuple((name, found.tip_target[k]) for k, name in enumerate(names)),
         instruments=train.instruments,
         states=found.states,
@@ -260,13 +260,13 @@ def _starts(
 
 
 def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
-    """Number of the frame that each row belongs to, shape (N,)."""
+    """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
     if settings.per != "station":
         return np.zeros(len(train), dtype=int)
     if train.labels.station is None or not labels:
         raise MeasurementError("a frame is per station: the table needs a `station` column")
     number = {label: k for k, label in enumerate(labels)}
-    return np.array([number[s] for s in train.labels.station], dtype=int)
+    return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
 
 
 def _placements(start: FrameStart, campaign: Campaign, labels: tuple[str, ...]) -> tuple[Frames, Frames]:

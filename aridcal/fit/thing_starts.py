@@ -34,12 +34,12 @@ class Beginning:
     """Where everything starts.
 
     Attributes:
-        world_base: One frame for all rows.
+        world_base: One frame for all rows, or for each station.
         tip_target: T_tip_target of each target, by its number.
         states: Of all things, (L, P) by role; NaN where nothing is known.
     """
 
-    world_base: pin.SE3
+    world_base: tuple[pin.SE3, ...]
     tip_target: dict[int, pin.SE3]
     states: dict[str, np.ndarray]
 
@@ -52,6 +52,7 @@ def beginning(
     tip: np.ndarray,
     hints: Mapping[int, pin.SE3],
     held: Mapping[int, pin.SE3],
+    station: np.ndarray,
     world: pin.SE3 | None,
 ) -> Beginning:
     """Find a start.
@@ -64,16 +65,18 @@ def beginning(
         tip: Number of each row's target, shape (N,).
         hints: T_tip_target of each target where nothing tells it.
         held: Those that are known.
+        station: Number of each row's T_world_base, shape (N,); only rows that measure the target may have several.
         world: T_world_base where it is known.
 
     Raises:
         NotIdentifiable: the rows of a block cannot tell where its things are.
     """
-    found = Beginning(world or pin.SE3.Identity(), dict(held), {n: t.start for n, t in seen.instruments.things.items()})
+    stands = (world or pin.SE3.Identity(),) * (int(station.max(initial=0)) + 1)
+    found = Beginning(stands, dict(held), {n: t.start for n, t in seen.instruments.things.items()})
     placed = world is not None or not (seen.instruments.world or _of_target(seen))
     posed = np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if KINDS[block.kind].places])
     if posed.any():
-        found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, world)
+        found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, station, world)
         placed = True
     starts_on_link = np.array([route.start is not None for route in data.labels.routes])
     linked = np.zeros(len(data), dtype=bool) if data.labels.route is None else starts_on_link[data.labels.route]
@@ -84,18 +87,18 @@ def beginning(
             continue
         kind, own = seen.of_kind(b)
         if block.traits.level and world is None and not posed.any():
-            found = replace(found, world_base=_levelled(seen, own, R, p, hints, tip, held))
+            found = replace(found, world_base=(_levelled(seen, own, R, p, hints, tip, held),))
         pairs = np.unique(np.column_stack([tip[own], linked[own]]), axis=0).tolist()
         parts = [(k, own[(tip[own] == k) & (linked[own] == carried)], bool(carried)) for k, carried in pairs]
         for k, rows, carried in sorted(parts, key=lambda part: -len(part[1])):
             rows = _some(rows, seen, kind)
-            base = pin.SE3.Identity() if carried else found.world_base
+            base = pin.SE3.Identity() if carried else found.world_base[0]
             if not placed and not carried:
                 loose = {name: _unknown(t) for name, t in _things(kind, seen, found.states).items()}
                 first = _started(kind, rows, loose, seen, base, R, p, hints[k], False)
                 there = _placed(kind, first, seen)
                 if there is not None:
-                    found = replace(found, world_base=there, tip_target=found.tip_target | {k: _se3(first.target)})
+                    found = replace(found, world_base=(there,), tip_target=found.tip_target | {k: _se3(first.target)})
                     base, placed = there, True
             known = k in found.tip_target
             target = found.tip_target.get(k, hints[k])
@@ -178,9 +181,10 @@ def _from_poses(
     rows: np.ndarray,
     hints: Mapping[int, pin.SE3],
     found: Beginning,
+    station: np.ndarray,
     world: pin.SE3 | None,
 ) -> Beginning:
-    """Base and targets from rows that measure these themselves."""
+    """Bases and targets from rows that measure these themselves."""
     numbers, own = np.unique(tip[rows], return_inverse=True)
     M = None if data.rotation is None else data.rotation[rows]
     if M is not None and np.isnan(M).any():
@@ -190,21 +194,22 @@ def _from_poses(
         p[rows],
         data.position[rows],
         M,
-        np.zeros(len(rows), dtype=int),
+        station[rows],
         own,
-        None if world is None else (world,),
+        None if world is None else found.world_base,
         None,
         tuple(hints[int(k)] for k in numbers),
     )
 
     def left(candidate: tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]) -> float:
-        base, targets = candidate[0][0], np.array([t.translation for t in candidate[1]])[own]
+        bases, targets = candidate[0], np.array([t.translation for t in candidate[1]])[own]
         reached = p[rows] + np.einsum("nij,nj->ni", R[rows], targets)
-        off = data.position[rows] - (reached @ base.rotation.T + base.translation)
+        turn, place = (np.array([getattr(T, of) for T in bases])[station[rows]] for of in ("rotation", "translation"))
+        off = data.position[rows] - np.einsum("nij,nj->ni", turn, reached) - place
         return float(np.median(np.linalg.norm(off, axis=1)))
 
     best = min(((c.world_base, c.tip_target) for c in candidates), key=left)
-    return replace(found, world_base=best[0][0], tip_target={int(k): t for k, t in zip(numbers, best[1], strict=True)})
+    return replace(found, world_base=best[0], tip_target={int(k): t for k, t in zip(numbers, best[1], strict=True)})
 
 
 def _things(kind: Kind, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:

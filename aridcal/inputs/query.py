@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.effects.labels import STATION, label_columns
 from aridcal.errors import MeasurementError
 from aridcal.inputs.checks import check_units, note_limits
-from aridcal.inputs.measurement_settings import MeasurementSettings
+from aridcal.inputs.measurement_settings import TARGET, MeasurementSettings
 from aridcal.inputs.quantities import POSITION, Source
 from aridcal.inputs.remarks import Remark
 from aridcal.reading.files import TABLE, Limit
@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from aridcal.inputs.tables import AnyTable, Table
 
 
+FramesBy = Literal["station", "target", "both"]
+"""Columns that say which of several frames a row has."""
+
+
 @dataclass(frozen=True)
 class QueryRows:
     """Rows that ask for poses or for commands; what a row lacks is NaN there.
@@ -33,11 +37,12 @@ class QueryRows:
         position: Shape (N, 3), [m]; `None` unless poses were asked for.
         quaternion: Unit, qx qy qz qw, shape (N, 4); `None` likewise.
         covariates: Every other numeric column, shape (N,).
-        station: Labels, shape (N,), or `None`.
+        station: Labels of their frames, shape (N,), or `None`: of their stations, or of their targets where these alone differ.
         line: Line of the file, shape (N,).
         usable: Rows in which nothing needed is wrong, shape (N,) bool.
         refused: Why the others are not.
         notices: What is odd but used.
+        target: Labels of their targets, shape (N,), where stations and targets differ.
     """
 
     readings: np.ndarray
@@ -49,6 +54,12 @@ class QueryRows:
     usable: np.ndarray
     refused: tuple[Remark, ...]
     notices: tuple[Remark, ...]
+    target: np.ndarray | None = field(default=None, kw_only=True)
+
+    def labels(self, rows: np.ndarray) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Labels of the frames of some rows at the base and at the target, as a model takes them."""
+        station, target = (None if of is None else of[rows] for of in (self.station, self.target))
+        return station, target
 
 
 @dataclass(frozen=True)
@@ -101,7 +112,7 @@ def load_query(
     *,
     poses: bool = False,
     per_station: bool = False,
-    label: Literal["station", "target"] = "station",
+    label: FramesBy = "station",
     needs: Collection[str] = (),
     of_labels: Collection[str] = (),
     stated: Collection[str] = (),
@@ -116,8 +127,8 @@ def load_query(
         kinds: As for :func:`load_measurements`.
         settings: Columns, units and orientations; default: those of FORMATS, in SI.
         poses: The pose of the target is needed, its position only if `settings.kind` is `position`.
-        per_station: The column that says which frames a row has is needed.
-        label: Which column that is.
+        per_station: The columns that say which frames a row has are needed.
+        label: Which columns these are.
         needs: Covariates that every row needs, where they have a column.
         of_labels: Covariates of stations (see :mod:`aridcal.effects.labels`); their column is needed then, its cells may be
             empty.
@@ -146,10 +157,12 @@ def load_query(
         position = source.position()
     if not settings.traits.place_alone:
         source.refuse_second_orientation()
-    if per_station and label == "target":
-        table.require([source.column(label)], "this calibration has several targets: name one in each row")
-    station = source.labels(label, needed=label if per_station else "")
-    of_stations = _stations(source, station if label == STATION else None) if of_labels else None
+    if per_station and label != STATION:
+        table.require([source.column(TARGET)], "this calibration has several targets: name one in each row")
+    first = TARGET if label == TARGET else STATION
+    station = source.labels(first, needed=first if per_station else "")
+    target = source.labels(TARGET, needed=TARGET) if label == "both" else None
+    of_stations = _stations(source, station if first == STATION else None) if of_labels else None
     covariates = source.covariates() | label_columns(of_labels, of_stations)
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)
@@ -170,6 +183,7 @@ def load_query(
         usable=source.usable,
         refused=source.refusals(),
         notices=tuple(source.notices),
+        target=target,
     )
 
 

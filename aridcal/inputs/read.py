@@ -186,7 +186,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
         q = source.joints(kinds, needed_columns(asked.robot, paths))
-    station = source.labels("station", needed="station" if per_station(campaign) else "")
+    by_station = per_station(campaign) and (of_target or alone)
+    station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
     covariates = source.covariates()
     if asked.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
@@ -387,12 +388,30 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
         )
         raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {beside}; rename it")
     told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
-    if per_station(campaign):
+    if campaign.frames.tip_target.per is not None:
         raise CampaignError(
-            f"{campaign.path}: frames: `per: station` is not for several targets ({listed(np.unique(told).tolist())}); "
-            "delete it, or measure the stations in campaigns of their own"
+            f"{campaign.path}: frames.tip_target: `per: station` is not for several targets "
+            f"({listed(np.unique(told).tolist())}); delete it, and give a target that was moved a label of its own"
         )
     return rows.with_labels(target=told)
+
+
+def _refuse_things_at_stations(rows: Dataset, campaign: Campaign) -> None:
+    """Refuse things in the world beside a base that is at another place in it at each station: theirs would be there, too.
+
+    Raises:
+        CampaignError: naming the first block with such rows.
+    """
+    if campaign.frames.world_base.per is None or rows.direct:
+        return
+    starts = np.array([path.start is None for path in rows.labels.routes])
+    in_world = starts[np.zeros(len(rows), dtype=int) if rows.labels.route is None else rows.labels.route]
+    for number, block in enumerate(rows.blocks):
+        if not block.traits.tracked and in_world[rows.labels.block == number].any():
+            raise CampaignError(
+                f"{campaign.path}: frames.world_base: `per: station` is for rows of a tracker, and {block.name} (`kind: {block.kind}`) "
+                "refers to the world; delete it, or give what stands elsewhere at each station a label of its own"
+            )
 
 
 def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
@@ -405,6 +424,7 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     if asked.robot is not None:
         _check_targets(rows, asked.campaign)
         rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
+    _refuse_things_at_stations(rows, asked.campaign)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made).with_origin(notices=(*rows.origin.notices, *notices))
 

@@ -77,7 +77,7 @@ def with_training_rows(data: Dataset, per_station: bool) -> Dataset:
     """
     if data.labels.station is None or not per_station:
         return data
-    lone = sorted({str(s) for s in data.labels.station} - {str(s) for s in data.labels.station[data.train]})
+    lone = sorted({str(s) for s in data.labels.station} - {str(s) for s in data.labels.station[data.train]} - {""})
     if not lone:
         return data
     if data.origin.split_given:

@@ -48,18 +48,21 @@ class ArmRows:
         model: Robot, frames and coefficients.
         theta: Of the coefficients, shape (K,).
         station: Label of the frames to use, where they are per station.
+        target: That of the target, where it is not the same.
     """
 
     model: Model
     theta: np.ndarray
     station: str | None = None
+    target: str | None = None
 
     def looks(
         self, readings: np.ndarray, covariates: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rotations (n, 3, 3) and positions (n, 3) of the target, and its twists by the readings, (n, 6, columns)."""
-        station = None if self.station is None else np.full(len(readings), self.station)
-        return self.model.by_readings(self.theta, self.model.rows(readings, covariates, station))
+        n = len(readings)
+        labels = (None if label is None else np.full(n, label) for label in (self.station, self.target))
+        return self.model.by_readings(self.theta, self.model.rows(readings, covariates, *labels))
 
 
 class Approached(NamedTuple):

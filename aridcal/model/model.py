@@ -190,7 +190,8 @@ class Model:
         Args:
             readings: Shape (N, columns) in the order of ``robot.readings``, [rad] or [m].
             covariates: Columns that the bases depend on, each of shape (N,).
-            station: Label of each row; needed where a frame is per station.
+            station: Label of each row; needed where a frame is per station. Rows from link to link have an empty one, which
+                stands for the first.
             target: Label of each row's target, where there are several.
             route: Number of each row's path among ``routes``; default: from the world to what carries the row's target.
 
@@ -341,6 +342,13 @@ class Model:
         moved |= {str(link.next_origin) for link in self._extended.links if link.joint in corrected}
         return {name: origin for name, origin in found.items() if name in moved}
 
+    @property
+    def first_labels(self) -> tuple[str | None, str | None]:
+        """Labels of one row's station and target: the first of each, None where frames have none, or both have the same."""
+        stations, targets = ([label for label, _ in frames] for frames in (self.world_base, self.tip_target))
+        base, tip = (next(iter(labels), None) for labels in (stations, targets))
+        return (base or tip, None) if base is None or stations == targets else (base, tip)
+
     def frames(self, theta: np.ndarray) -> tuple[Frames, Frames]:
         """T_world_base and T_tip_target with the constants applied."""
         world = [(label, self._moved("world_base", label, start, theta)) for label, start in self.world_base]
@@ -362,24 +370,25 @@ class Model:
         frame = [c.where in ("world_base", "tip_target") and c.basis.constant for c in self.coefficients]
         return replace(self, world_base=world, tip_target=tip), np.where(frame, 0.0, theta)
 
-    def locked(self, theta: np.ndarray, station: str | None = None) -> Locked:
+    def locked(self, theta: np.ndarray, station: str | None = None, target: str | None = None) -> Locked:
         """The first path's chain and its effects alone: whatever moves alike in all rows is locked where theta has it.
 
         Args:
             theta: Coefficients, shape (K,).
             station: Label of the frames to use, where they are per station.
+            target: That of the target, where it is not the same.
 
         Raises:
             MeasurementError: the station is none of those that the model knows.
         """
         if self._divided:
-            arm = self._arm_of(self._route_to(station or ""))
-            locked = arm.model.locked(theta[arm.own], station)
+            arm = self._arm_of(self._route_to(target or station or ""))
+            locked = arm.model.locked(theta[arm.own], station, target)
             carrier = np.full(len(theta), -1)
             carrier[arm.own] = locked.carrier
             return replace(locked, carrier=carrier, joints=arm.joints)
-        label = None if station is None else np.array([station])
-        world, tip = (int(_frame_index(f, label, 1)[0]) for f in (self.world_base, self.tip_target))
+        at_base, at_tip = (None if label is None else np.array([label]) for label in (station, target or station))
+        world, tip = (int(_frame_index(*end, 1)[0]) for end in ((self.world_base, at_base), (self.tip_target, at_tip)))
         slots = self._extended.slots
         own = [own_slot(name) for name in self.robot.names]
         moving = {*own, *(slots[k] for k in self._varying)}
@@ -582,7 +591,8 @@ def _frame_index(frames: Frames, label: np.ndarray | None, n: int, per: str = "s
     if label is None:
         raise MeasurementError(f"a frame is per {per}: the table needs a `{per}` column")
     number = {known: k for k, known in enumerate(labels)}
-    unknown = sorted({str(s) for s in label} - set(map(str, labels)))
+    number.setdefault("", 0)
+    unknown = sorted({str(s) for s in label} - set(map(str, number)))
     if unknown:
         raise MeasurementError(
             f"{per} {unknown[0]!r} was not in the calibration (known: {', '.join(map(str, labels))})"

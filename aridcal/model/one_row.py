@@ -76,6 +76,7 @@ class OneRowModel:
         model: Robot, frames and coefficients.
         theta: Coefficients, shape (K,).
         station: Label of the frames to use, where they are per station.
+        target: That of the target, where it is not the same.
 
     Attributes:
         needs: Covariates that the effects depend on and that the caller must give, sorted.
@@ -83,8 +84,8 @@ class OneRowModel:
         moves: Columns that drive the joints of the target's path, shape (columns,) bool; all others hold still.
     """
 
-    def __init__(self, model: Model, theta: np.ndarray, station: str | None = None) -> None:
-        robot, locked = model.robot, model.locked(theta, station)
+    def __init__(self, model: Model, theta: np.ndarray, station: str | None = None, target: str | None = None) -> None:
+        robot, locked = model.robot, model.locked(theta, station, target)
         self._model = locked.model
         last = self._model.njoints - 1
         target = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
@@ -100,7 +101,8 @@ class OneRowModel:
         self.still = np.zeros(self._size)
         self.still[locked.own] = self._offsets[locked.joints]
 
-        here = [c.station in (None, station) for c in model.coefficients]
+        at_tip = target or station
+        here = [c.station in (None, at_tip if c.where == "tip_target" else station) for c in model.coefficients]
         free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]
         bases = {k: model.coefficients[k].basis for k in free}
         for k in free:
@@ -122,7 +124,7 @@ class OneRowModel:
         around = _surroundings_at(model, station)
         self._loads = _loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         where = [(place[n], TARGET.index(n)) for n in places]
-        self._place = _Place(robot, _target_at(model, station), where) if places else None
+        self._place = _Place(robot, _target_at(model, at_tip), where) if places else None
         self._covariates = len(names)
         self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 

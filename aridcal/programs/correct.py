@@ -109,20 +109,19 @@ class _Arm:
         expected, nominal = self.saved.expected, self.controller.inverse
         lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else LEVER
         return InverseRows(
-            ArmRows(expected.model, expected.theta, self.station), nominal.low, nominal.high, nominal.turning, lever
+            ArmRows(expected.model, expected.theta, *self.labels), nominal.low, nominal.high, nominal.turning, lever
         )
 
     @cached_property
-    def station(self) -> str | None:
-        """Label of the first station, where frames are per station: what base and target are is the same before and after."""
-        model = self.saved.final.model
-        return next((label for label, _ in (*model.world_base, *model.tip_target) if label is not None), None)
+    def labels(self) -> tuple[str | None, str | None]:
+        """Labels of the first frames, where there are several: what base and target are is the same before and after."""
+        return self.saved.final.model.first_labels
 
     @cached_property
     def _frames(self) -> tuple[np.ndarray, np.ndarray]:
         """T_world_base and T_tip_target as calibrated: the same before and after, so that they matter to the weighing alone."""
         world, tip = self.saved.expected.model.frames(self.saved.expected.theta)
-        first = [next(T for label, T in frames if label in (None, self.station)) for frames in (world, tip)]
+        first = [next(T for label, T in frames if label in (None, *self.labels)) for frames in (world, tip)]
         return np.asarray(first[0].homogeneous), np.asarray(first[1].homogeneous)
 
     @cached_property
@@ -195,9 +194,9 @@ class _Arm:
     def beyond(self, q: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
         """Readings that are not like those that were measured, shape (n,)."""
         n = len(q)
-        station = None if self.station is None else np.full(n, self.station)
+        station, target = (None if label is None else np.full(n, label) for label in self.labels)
         line, usable = np.arange(n), np.ones(n, dtype=bool)
-        rows = QueryRows(q, None, None, self.values(sides, n), station, line, usable, (), ())
+        rows = QueryRows(q, None, None, self.values(sides, n), station, line, usable, (), (), target=target)
         return extrapolates(self.saved, rows, std_of(self.saved, rows))
 
 

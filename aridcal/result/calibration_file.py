@@ -16,6 +16,7 @@ from aridcal.effects.basis import ALWAYS, FORMS, Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.effects.labels import is_label
 from aridcal.errors import CampaignError, has_controls
+from aridcal.inputs.query import FramesBy
 from aridcal.inputs.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.trust.rivals import Rival
@@ -289,7 +290,7 @@ class Record(Section):
 
     campaign: str = ""
     derived_columns: tuple[str, ...] = ()
-    frames_by: Literal["station", "target"] = "station"
+    frames_by: FramesBy = "station"
     """Column that says which frames a row has, where there are several."""
     scatter: dict[Literal["position", "rotation"], ScatterPart] = Field(default_factory=dict)
     """What new rows are set beside; older files have none."""

@@ -102,7 +102,9 @@ def moved(saved: SavedModel) -> np.ndarray:
     model = saved.final.model
     if len(model.routes) == 1:
         return at_any_station(saved).model.moves
-    return np.any([saved.inverse_kinematics(label).model.moves for label, _ in model.tip_target], axis=0)
+    base, _ = model.first_labels
+    ends = [(base, label) if saved.frames_by == "both" else (label, None) for label, _ in model.tip_target]
+    return np.any([saved.inverse_kinematics(*end).model.moves for end in ends], axis=0)
 
 
 def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np.ndarray]]:
@@ -181,7 +183,6 @@ class _Walk:
         R = np.zeros((len(usable), 3, 3))
         if query.quaternion is not None and usable.any():
             R[usable] = Rotation.from_quat(query.quaternion[usable]).as_matrix()
-        stations = query.station if self._stations else None
         nothing = Command(np.full(len(self._seen), np.nan), math.nan, math.nan, False)
         found = []
         for k in range(len(usable)):
@@ -189,7 +190,8 @@ class _Walk:
             if not usable[k]:
                 found.append(nothing)
                 continue
-            inverse = self._saved.inverse_kinematics(None if stations is None else str(stations[k]))
+            labels = (None if of is None or not self._stations else str(of[k]) for of in (query.station, query.target))
+            inverse = self._saved.inverse_kinematics(*labels)
             given = {name: float(covariates[name][k]) for name in (*self._needs, *self._labels)}
             own = query.readings[k]
             seed = np.where(np.isnan(own), self._last, own)

@@ -15,7 +15,7 @@ from aridcal.effects.labels import STATION, label_in
 from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.errors import MeasurementError
 from aridcal.inputs.counting import counting
-from aridcal.inputs.measurement_settings import MeasurementSettings
+from aridcal.inputs.measurement_settings import TARGET, MeasurementSettings
 from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, other_way, own_orientation
 from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.query import Query, QueryRows, load_query
@@ -140,9 +140,7 @@ def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
 
 def at_any_station(saved: SavedModel) -> InverseKinematics:
     """Inverse kinematics at the first station; all need the same covariates."""
-    model = saved.final.model
-    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    return saved.inverse_kinematics(labels[0] if labels else None)
+    return saved.inverse_kinematics(*saved.final.model.first_labels)
 
 
 def needed_of(saved: SavedModel) -> set[str]:
@@ -178,8 +176,8 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
     """
     known = query.usable
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    station = None if query.station is None else query.station[known]
-    R, p = saved.expected.poses(query.readings[known], saved.completed(covariates, int(known.sum())), station)
+    labels = query.labels(known)
+    R, p = saved.expected.poses(query.readings[known], saved.completed(covariates, int(known.sum())), *labels)
     R[np.isnan(p).any(axis=1)] = np.nan
 
     std = std_of(saved, query)
@@ -205,9 +203,7 @@ def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFr
     if saved.untold:
         final, known = saved.final, query.usable & np.isfinite(query.readings).all(axis=1)
         covariates = {name: values[known] for name, values in query.covariates.items()}
-        rows = final.model.rows(
-            query.readings[known], covariates, None if query.station is None else query.station[known]
-        )
+        rows = final.model.rows(query.readings[known], covariates, *query.labels(known))
         told = np.zeros(len(known), dtype=bool)
         told[known] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
         table["told"] = told
@@ -317,9 +313,8 @@ def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    station = None if query.station is None else query.station[known]
     std = np.full((len(known), 6), np.nan)
-    std[known] = saved.final.std(query.readings[known], covariates, station)
+    std[known] = saved.final.std(query.readings[known], covariates, *query.labels(known))
     std[:, :3] = np.hypot(std[:, :3], growth(saved, query)[:, None])
     return std
 
@@ -338,11 +333,10 @@ def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None 
         return np.zeros((len(query.line), 6, 6))
     known = query.usable & np.isfinite(query.readings).all(axis=1)
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    station = None if query.station is None else query.station[known]
     final, seen = saved.final, saved.seen
-    found = np.full((len(known), 6, 6), np.nan)
+    found, labels = np.full((len(known), 6, 6), np.nan), query.labels(known)
     found[known] = between(
-        final.model, final.theta, saved.rivals, query.readings[known], covariates, station, seen, tool
+        final.model, final.theta, saved.rivals, query.readings[known], covariates, labels, seen, tool
     )
     return found
 
@@ -395,8 +389,10 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     for name in model.needs:
         table[settings.columns.get(name, name)] = settings.sense(name) * float(np.mean(saved.ranges[name]))
     if per_station(model):
-        label = next(label for label, _ in (*model.world_base, *model.tip_target) if label is not None)
-        table[column_of(saved.frames_by, settings, robot.readings)] = label
+        named = zip((TARGET,) if saved.frames_by == TARGET else (STATION, TARGET), model.first_labels, strict=False)
+        for name, label in named:
+            if label is not None:
+                table[column_of(name, settings, robot.readings)] = label
     of_labels = labels_of(c.basis for c in model.coefficients)
     if of_labels and column_of(STATION, settings, robot.readings) not in table:
         table[column_of(STATION, settings, robot.readings)] = label_in(of_labels[0])
@@ -426,9 +422,8 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
         )
     known = query.usable
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    station = None if query.station is None else query.station[known]
     final = saved.final
-    rows = final.model.rows(query.readings[known], covariates, station)
+    rows = final.model.rows(query.readings[known], covariates, *query.labels(known))
     covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
     covariance[:, :3, :3] += growth(saved, query)[known, None, None] ** 2 * np.eye(3)
     covariance += between_rivals(saved, query, np.asarray(tool, dtype=float))[known]
@@ -454,6 +449,6 @@ def _far(saved: SavedModel, query: QueryRows, known: np.ndarray) -> np.ndarray:
     bases = [c.basis for c in model.coefficients if c.basis.form == "ball"]
     if not bases:
         return np.zeros(len(readings), dtype=bool)
-    station = None if query.station is None else query.station[known]
     covariates = {name: values[known] for name, values in query.covariates.items()}
-    return far_from_nodes(bases, model.target_places(model.rows(readings, covariates, station), readings))
+    rows = model.rows(readings, covariates, *query.labels(known))
+    return far_from_nodes(bases, model.target_places(rows, readings))

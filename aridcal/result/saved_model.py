@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,7 @@ from aridcal.effects.sights import TARGET, Sights
 from aridcal.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.measurement_settings import MeasurementSettings
+from aridcal.inputs.query import FramesBy
 from aridcal.inputs.yaml_file import Limits, parse_settings
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.model.inverse import Command, InverseKinematics
@@ -77,6 +78,7 @@ class SolvedModel:
         readings: np.ndarray,
         covariates: Mapping[str, np.ndarray] | None = None,
         station: np.ndarray | None = None,
+        target: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predict the target: T_world_target for N configurations.
 
@@ -84,6 +86,7 @@ class SolvedModel:
             readings: Shape (N, columns) in the order of ``model.robot.readings``, [rad] or [m].
             covariates: Columns that the effects depend on, each of shape (N,).
             station: Label of each row; needed where a frame is per station.
+            target: That of its target, where stations and targets differ.
 
         Returns:
             Rotations (N, 3, 3) and positions (N, 3) in [m].
@@ -92,7 +95,7 @@ class SolvedModel:
             CovariateNotFound: an effect depends on a column that is not there.
             MeasurementError: a row's station is none of those that were calibrated.
         """
-        rows = self.model.rows(readings, covariates, station)
+        rows = self.model.rows(readings, covariates, station, target)
         apart = [self.model.poses(self.theta, rows[some]) for some in few(len(rows))]
         return np.concatenate([R for R, _ in apart]), np.concatenate([p for _, p in apart])
 
@@ -101,6 +104,7 @@ class SolvedModel:
         readings: np.ndarray,
         covariates: Mapping[str, np.ndarray] | None = None,
         station: np.ndarray | None = None,
+        target: np.ndarray | None = None,
     ) -> np.ndarray:
         r"""How well the target is known in N configurations: the square root of the diagonal of :math:`J \Sigma J^T`.
 
@@ -110,6 +114,7 @@ class SolvedModel:
             readings: As for :meth:`poses`.
             covariates: Likewise.
             station: Likewise.
+            target: Likewise.
 
         Returns:
             1-sigma of the position [m] and of the rotation vector [rad], world axes, shape (N, 6).
@@ -118,7 +123,7 @@ class SolvedModel:
             CovariateNotFound: an effect depends on a column that is not there.
             MeasurementError: a row's station is none of those that were calibrated.
         """
-        rows = self.model.rows(readings, covariates, station)
+        rows = self.model.rows(readings, covariates, station, target)
         return target_std(self.model, self.theta, self.covariance, rows)
 
 
@@ -265,9 +270,10 @@ class SavedModel:
         return replace(self, geometric=models[0], final=models[1], rivals=(), ranges=ranges, holes=holes)
 
     @property
-    def frames_by(self) -> Literal["station", "target"]:
-        """Column that says which frames a row has, where there are several."""
-        return "target" if self.record.get("frames_by") == "target" else "station"
+    def frames_by(self) -> FramesBy:
+        """Columns that say which frames a row has, where there are several."""
+        by: FramesBy = self.record.get("frames_by", "station")
+        return by
 
     @property
     def span(self) -> float:
@@ -345,6 +351,7 @@ class SavedModel:
         seed: np.ndarray,
         covariates: Mapping[str, float] | None = None,
         station: str | None = None,
+        target: str | None = None,
     ) -> Command:
         """Find the joint readings that bring the real target to a wanted pose, fast enough for a stream of them.
 
@@ -354,6 +361,7 @@ class SavedModel:
                 what the controller's own inverse kinematics says, or the command before.
             covariates: What the effects depend on beside the joints, temperature or ``JOINT_direction`` for instance.
             station: Label of the frames, where they are per station.
+            target: That of the target, where stations and targets differ.
 
         Returns:
             The readings, what the model still misses with them, and whether the pose is reached.
@@ -363,7 +371,7 @@ class SavedModel:
             MeasurementError: the station is none of those that were calibrated.
         """
         pose = np.asarray(pose, dtype=float)
-        return self.inverse_kinematics(station).command(
+        return self.inverse_kinematics(station, target).command(
             pose[:3, :3], pose[:3, 3], np.asarray(seed, dtype=float), {**self.assumed, **(covariates or {})}
         )
 
@@ -372,20 +380,20 @@ class SavedModel:
         """True if the target's rotation was measured, not its position alone."""
         return KINDS[self.kind].turns
 
-    def inverse_kinematics(self, station: str | None = None) -> InverseKinematics:
-        """Readings for wanted poses at a station; made once for each."""
-        if station not in self._inverses:
+    def inverse_kinematics(self, station: str | None = None, target: str | None = None) -> InverseKinematics:
+        """Readings for wanted poses of a target at a station; made once for each."""
+        if (station, target) not in self._inverses:
             robot = self.final.model.robot
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
-            one_row = OneRowModel(self.expected.model, self.expected.theta, station)
+            one_row = OneRowModel(self.expected.model, self.expected.theta, station, target)
             if self.route is not None and self.route.start is not None:
                 one_row.moves &= carriers(robot, self.route)
             low, high = np.where(one_row.moves[:, None], robot.limits, (-np.inf, np.inf)).T
-            self._inverses[station] = InverseKinematics(one_row, low, high, turning, self.turns, self.noise)
-        return self._inverses[station]
+            self._inverses[station, target] = InverseKinematics(one_row, low, high, turning, self.turns, self.noise)
+        return self._inverses[station, target]
 
     @cached_property
-    def _inverses(self) -> dict[str | None, InverseKinematics]:
+    def _inverses(self) -> dict[tuple[str | None, str | None], InverseKinematics]:
         return {}
 
     def dump(self) -> str:
@@ -538,8 +546,8 @@ def _try(solved: SolvedModel, middle: Mapping[str, float]) -> None:
     model = solved.model
     readings = np.array([[middle.get(name, 0.0) for name in model.robot.readings]])
     covariates = {name: np.array([middle.get(name, 0.0)]) for name in model.needs}
-    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    R, p = solved.poses(readings, covariates, np.array(labels[:1]) if labels else None)
+    labels = (None if label is None else np.array([label]) for label in model.first_labels)
+    R, p = solved.poses(readings, covariates, *labels)
     if not (np.isfinite(R).all() and np.isfinite(p).all()):
         raise ValueError("a predicted pose is not finite")
 

@@ -19,10 +19,11 @@ from aridcal.fit.problem import problem
 from aridcal.fit.tails import Tails, tails_of
 from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.row_facts import Labels
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
 from aridcal.instruments.channels import columns, norms, spread
 from aridcal.instruments.setup import Instruments
-from aridcal.model.model import ONE_FRAME
+from aridcal.model.model import ONE_FRAME, Model
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.trust.rivals import Rival
@@ -55,12 +56,12 @@ def calibration(outcome: Outcome) -> SavedModel:
         record["scatter_of_kinds"] = _of_kinds(m, scatter)
     target = _saved_target(m, outcome.head is not None)
     if len(target.labels) > 1:
-        record["frames_by"] = "target"
+        record["frames_by"] = "both" if len(final.model.world_base) > 1 else "target"
     solved = _solved(final, target)
     fitted = m.fitted.select(~outcome.outlier[m.train])
     if target.labels and m.labels.target is not None:
         fitted = fitted.select(np.isin(m.labels.target[used], target.labels))
-    std = solved.std(fitted.readings, fitted.covariates, _asked_by(fitted, target))
+    std = solved.std(fitted.readings, fitted.covariates, *_asked_by(solved.model, fitted.labels))
     if not target.turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
     if not target.moves:
@@ -212,9 +213,9 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
     )
 
 
-def _asked_by(rows: Dataset, target: _Target) -> np.ndarray | None:
-    """Labels by which a saved model tells its frames apart: of stations, or of several targets."""
-    return rows.labels.target if len(target.labels) > 1 else rows.labels.station
+def _asked_by(model: Model, labels: Labels) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Labels by which a saved model tells its frames apart: of stations, and of several targets."""
+    return labels.station, labels.target if len(model.tip_target) > 1 and labels.target is not None else None
 
 
 def _solved(fit: Fit, target: _Target) -> SolvedModel:

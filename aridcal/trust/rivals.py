@@ -71,7 +71,7 @@ def between(
     rivals: Sequence[Rival],
     readings: np.ndarray,
     covariates: Mapping[str, np.ndarray],
-    station: np.ndarray | None,
+    labels: tuple[np.ndarray | None, np.ndarray | None],
     seen: Mapping[str, tuple[float, float]],
     tool: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -83,7 +83,7 @@ def between(
         rivals: Of its effects.
         readings: Shape (N, columns).
         covariates: Shape (N,) each; what is missing, or a hole, is at the end of what was seen where the rivals differ more.
-        station: Labels, where frames have some.
+        labels: Of stations and of targets, shape (N,) each, where frames have some.
         seen: Lowest and highest value of columns.
         tool: A point that moves with the target, in its axes, shape (3,), [m].
     """
@@ -94,7 +94,7 @@ def between(
         for name in wide.needs:
             there = given.get(name, np.full(len(readings), np.nan))
             given[name] = np.where(np.isnan(there), seen.get(name, (0.0, 0.0))[end], there)
-        own = target_covariance(wide, values, covariance, wide.rows(readings, given, station), tool)
+        own = target_covariance(wide, values, covariance, wide.rows(readings, given, *labels), tool)
         if found is None:
             found = own
         else:

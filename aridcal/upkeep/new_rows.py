@@ -190,7 +190,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
     places = {column_of(name, settings, robot.readings) for name in POSITION}
     joints = [settings.columns.get(name, name) for name in robot.readings]
     names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
-    several = saved.frames_by == "target"
+    several = saved.frames_by != "station"
     referring = any(block.kind in REFERRING or block.traits.level for block in campaign.blocks)
     if not several and (places <= names or not referring):
         changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
@@ -215,7 +215,7 @@ def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
     if rows.labels.target is None and not rows.direct and other:
         names = [own_target(b.traits, b.name) for b in rows.blocks]
         rows = rows.with_labels(target=np.array(names)[rows.labels.block])
-    if rows.labels.target is None and saved.frames_by == "target":
+    if rows.labels.target is None and saved.frames_by != "station":
         several = listed([str(label) for label in known])
         raise MeasurementError(
             f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"

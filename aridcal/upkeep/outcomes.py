@@ -141,15 +141,19 @@ def _predicted(saved: SavedModel) -> Dataset:
         else rng.uniform(*saved.ranges[name], PREDICTED)
         for name in (*robot.readings, *model.needs)
     }
-    labels = [label for label, _ in (*model.world_base, *model.tip_target) if label is not None]
-    station = rng.choice(sorted(set(labels)), PREDICTED) if labels else None
+    at_base, at_tip = (
+        sorted({label for label, _ in frames if label is not None}) for frames in (model.world_base, model.tip_target)
+    )
+    station = rng.choice(at_base or at_tip, PREDICTED) if at_base or at_tip else None
+    target = rng.choice(at_tip, PREDICTED) if saved.frames_by == "both" else None
     readings = np.column_stack([drawn[name] for name in robot.readings])
     covariates = {name: drawn[name] for name in model.needs}
-    R, p = saved.final.poses(readings, covariates, station)
+    R, p = saved.final.poses(readings, covariates, station, target)
     turns = R if saved.turns else None
     rows = dataset(
         robot.readings, robot.kinds, readings, p, turns, sigma=saved.noise, covariates=covariates, station=station
     )
+    rows = rows.with_labels(target=target)
     return _on_limbs(rows, saved) if robot.others else rows
 
 
@@ -160,7 +164,8 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
     refers = with_trackers(rows.labels.refers, blocks, rows.labels.block, rows.names)
     known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
-    target = rows.labels.station
+    both = saved.frames_by == "both"
+    target = rows.labels.target if both else rows.labels.station
     ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
     return replace(
         rows,
@@ -169,6 +174,7 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
         labels=Labels(
             block=rows.labels.block,
             refers=refers,
+            station=rows.labels.station if both else None,
             target=target,
             route=np.array([model.routes.index(Route(None, end)) for end in ends]),
             routes=model.routes,

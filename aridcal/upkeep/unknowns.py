@@ -162,10 +162,11 @@ def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> 
     )
     held = {k: frame for k, (label, frame) in enumerate(model.tip_target) if ("tip_target", label) not in new}
     hints = {k: frame for k, (_, frame) in enumerate(model.tip_target)}
-    found = beginning(rows, seen, R, p, number, hints, held, None if anywhere else pin.SE3.Identity())
+    one = np.zeros(len(rows), dtype=int)  # the base stands in one place for all new rows, or is in R and p already
+    found = beginning(rows, seen, R, p, number, hints, held, one, None if anywhere else pin.SE3.Identity())
     return replace(
         model,
-        world_base=((None, found.world_base),) if anywhere else model.world_base,
+        world_base=((None, found.world_base[0]),) if anywhere else model.world_base,
         tip_target=tuple((label, held.get(k, found.tip_target[k])) for k, label in enumerate(names)),
         instruments=rows.instruments,
         states=found.states,
