@@ -478,9 +478,6 @@ BLOCKS: dict[str, tuple[list[dict[str, Any]], dict[str, Any], str]] = {
     "stations of things in the world": (
         [{"kind": "point"}], {"frames": {"world_base": {"per": "station"}}}, r"world_base: .* rows of a tracker, and point"
     ),
-    "stations of a level": (
-        [{"kind": "position"}, {"kind": "inclination"}], {"frames": {"world_base": {"per": "station"}}}, "and inclination"
-    ),
     "an empty name": ([{"kind": "point", "name": " "}], {}, r"measurements\.name: is empty; give"),
 }  # fmt: skip
 
