@@ -410,7 +410,8 @@ def _refuse_things_at_stations(rows: Dataset, campaign: Campaign) -> None:
         if not block.traits.tracked and in_world[rows.labels.block == number].any():
             raise CampaignError(
                 f"{campaign.path}: frames.world_base: `per: station` is for rows of a tracker, and {block.name} "
-                f"(`kind: {block.kind}`) refers to the world; delete it, or give what stands elsewhere at each station a label of its own"
+                f"(`kind: {block.kind}`) refers to the world; delete it, or give what stands elsewhere at each station a label "
+                "of its own"
             )
 
 
