@@ -442,10 +442,16 @@ def measured(model: Model, data: Dataset) -> Measured:
         instruments=instruments,
         moved=_moved(model),
         width=columns(data.channels)[-1].stop,
-        direct=data.direct,
+        direct=_direct(model, data),
         states=states,
         wide=model.with_motions(model.own_motions) if conditional else None,
     )
+
+
+def _direct(model: Model, data: Dataset) -> bool:
+    """True where a tracker alone gives the place of targets on one chain, and neither data nor model say that it errs."""
+    alone = len(data.blocks) == 1 and data.blocks[0].traits.tracked and not model.divided
+    return alone and not any(things.free.any() for things in data.instruments.things.values())
 
 
 def joined(known: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:

@@ -254,7 +254,7 @@ class Model:
     def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
-        if self._divided:
+        if self.divided:
             for arm, some in self._by_arm(len(rows), rows.route):
                 R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
             return R, p
@@ -276,7 +276,7 @@ class Model:
             The poses, as :meth:`poses`, and the twists of the target at its own origin in world axes, shape (N, 6, K):
             linear [m], then angular [rad], per unit of each coefficient.
         """
-        if self._divided:
+        if self.divided:
             R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, len(theta)))
             for arm, some in self._by_arm(len(rows), rows.route):
                 R[some], p[some], own = arm.model.jacobian(theta[arm.own], arm.rows(rows, some))
@@ -298,7 +298,7 @@ class Model:
 
     def by_readings(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that readings cause while effects stay as they are, (N, 6, columns)."""
-        if self._divided:
+        if self.divided:
             R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
             J = np.zeros((len(rows), 6, len(self.robot.readings)))
             for arm, some in self._by_arm(len(rows), rows.route):
@@ -323,7 +323,7 @@ class Model:
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
         """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
-        if self._divided:
+        if self.divided:
             limbs = [self._arm_of(Route(None, limb.tip)) for limb in reversed(self.robot.limbs)]
             return {name: T for arm in limbs for name, T in arm.model.origins(theta[arm.own]).items()}
         value = self._constant_values(theta)
@@ -381,7 +381,7 @@ class Model:
         Raises:
             MeasurementError: the station is none of those that the model knows.
         """
-        if self._divided:
+        if self.divided:
             arm = self._arm_of(self._route_to(target or station or ""))
             locked = arm.model.locked(theta[arm.own], station, target)
             carrier = np.full(len(theta), -1)
@@ -419,7 +419,7 @@ class Model:
         return size
 
     @cached_property
-    def _divided(self) -> bool:
+    def divided(self) -> bool:
         """True if rows take several paths, or coefficients move no target: then chains are models of their own."""
         return bool(self.at_things.any()) or self.routes != (Route(),) or bool(self.robot.others)
 
@@ -514,7 +514,7 @@ class Model:
     @cached_property
     def local(self) -> Local | None:
         """Which coefficients act in few rows; None where a column for each of them is quicker."""
-        return None if self._divided else local(self.coefficients, self._extended.carrier)
+        return None if self.divided else local(self.coefficients, self._extended.carrier)
 
     @cached_property
     def _varying(self) -> np.ndarray:
