@@ -52,7 +52,7 @@ TOP = Path(__file__).resolve().parents[1]
 SERIES_B = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
 DEMO = TOP / "identification" / "arid-undeclared" / "campaign.yaml"
 STARTS = 5
-STAGES = {"start": "_starts", "fit": "fit_identifiable", "restarts": "with_restarts"}
+STAGES = {"start": "_start", "fit": "fit_identifiable", "restarts": "with_restarts"}
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import two_arms
+import yaml
 from scipy.spatial.transform import Rotation
 
 import aridcal
@@ -240,3 +241,17 @@ def test_a_moved_tracker_s_limbs_are_checked_and_commanded_at_a_station(tmp_path
     noisy = table.assign(**{name: table[name] + rng.normal(0, cells.SIGMA, 12) for name in XYZ})
     assert found.check(noisy).good
     assert not found.check(noisy.assign(x=noisy["x"] + 0.003)).good
+
+
+def test_targets_that_are_known_stay_where_they_are_stated(tmp_path: Path) -> None:
+    """One of two is known: it is taken as exact, and the other, of which a hint is a centimetre off, is found."""
+    path, _ = moved_tracker(tmp_path, False)
+    campaign = yaml.safe_load(path.read_text())
+    campaign["instruments"]["targets"]["tool"] |= {"xyz": cells.FINGER.tolist(), "identify": False}
+    path.write_text(yaml.safe_dump(campaign, sort_keys=False))
+    found = aridcal.calibrate(path)
+    at_the_noise(found, "position")
+    placed = {label: T.translation for label, T in found.model.final.model.tip_target}
+    np.testing.assert_array_equal(placed["tool"], cells.FINGER)
+    off = np.linalg.norm(placed["turntable"] - cells.FINGER)
+    assert 0.0 < off < 5e-3, "the turntable's own constants may take up what 1 mm and 1 mrad make of it"

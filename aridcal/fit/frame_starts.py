@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from aridcal.instruments.pose import nearest_rotation
+from aridcal.fit.flags import robust_sigma
+from aridcal.instruments.pose import kind_of_places, nearest_rotation, residuals
 
 FREE = 1e-3
 """[m/m]: a target translation that moves the points by a smaller share, the base following, is left at its hint."""
@@ -33,6 +34,9 @@ ARMIJO = 1e-4
 
 SETTLED = 1e-12
 """Share of the points' spread, squared, that is no gain any more: a place found to 1e-6 of it."""
+
+TURN_COUNTS = 0.1
+"""[m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
 Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
@@ -98,6 +102,33 @@ def start_frames(
     found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
     found += _kronecker(data, hint) if M is not None else []
     return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
+
+
+def best_start(
+    rotation: np.ndarray,
+    position: np.ndarray,
+    measured_position: np.ndarray,
+    measured_rotation: np.ndarray | None,
+    world: np.ndarray,
+    tip: np.ndarray,
+    known_world: tuple[pin.SE3, ...] | None,
+    known_tip: tuple[pin.SE3, ...] | None,
+    hint_tip: tuple[pin.SE3, ...],
+) -> FrameStart:
+    """That of the starts with the smallest misfit; for what comes in see :func:`start_frames`."""
+    measured = measured_position, measured_rotation
+    channels = kind_of_places(measured_rotation).channels
+
+    def left(start: FrameStart) -> float:
+        X = np.array([f.homogeneous for f in start.world_base])[world]
+        Y = np.array([f.homogeneous for f in start.tip_target])[tip]
+        T = np.broadcast_to(np.eye(4), (len(position), 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = rotation, position
+        T = X @ T @ Y
+        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), channels)
+        return float(sigma[0] + TURN_COUNTS * sigma[1:].sum())
+
+    return min(start_frames(rotation, position, *measured, world, tip, known_world, known_tip, hint_tip), key=left)
 
 
 def _points(data: _Data, t: np.ndarray) -> np.ndarray:

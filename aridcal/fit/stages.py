@@ -13,7 +13,6 @@ from aridcal.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
 from aridcal.fit.closed_form import closed_form_starts
 from aridcal.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
 from aridcal.fit.flags import robust_sigma
-from aridcal.fit.frame_starts import FrameStart, start_frames
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
@@ -22,7 +21,6 @@ from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.instrument_settings import TargetSettings
 from aridcal.instruments.channels import spread
-from aridcal.instruments.pose import residuals
 from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
@@ -37,10 +35,6 @@ spread and 5 mm per axis, or 200 mrad per axis."""
 
 STRANGE_PIXELS = 40.0
 """The same of pixels: at a usual focal length 40 px are 3 degrees."""
-
-TURN_COUNTS = 0.1
-"""[m/rad]: how much a start's misfit in rotation counts beside that in position."""
-
 
 RESTART_ROWS = 150
 """Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
@@ -124,26 +118,23 @@ def _start(
     campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
-    alone = len(train.blocks) < 2 and train.labels.target is None
-    if (
-        alone and train.labels.route is None and np.isfinite(train.position).all()
-    ):  # every row has measured the place of one target
-        best, _ = _starts(campaign, robot, train, labels)[0]
-        return Model(robot, frames, *_placements(best, campaign, labels), instruments=train.instruments)
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
     seen = measured(bare, train)
-    R, p = bare.poses(np.zeros(0), seen.rows)
     world, tip = campaign.frames.world_base, campaign.frames.tip_target
     names = frame_labels("tip_target", tip, labels, train)
-    number = np.zeros(len(train), dtype=int)
+    station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
     if train.labels.target is not None:
         number = np.searchsorted(np.array(names), train.labels.target.astype(str))
+    if seen.direct:
+        some = thin(replace(seen.rows, world=station, tip=number), START_ROWS)
+        train, seen, station, number = train.select(some), seen[some], station[some], number[some]
+    R, p = bare.poses(np.zeros(0), seen.rows)
     stated = {name: campaign.instruments.targets.get(str(name), tip) for name in names}
     hints = {k: pin.SE3.Identity() if name == TIP else placement(stated[name]) for k, name in enumerate(names)}
     fixed = not measures_target(train)
     held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not stated[names[k]].identify}
     known = None if world.identify and has_world(train) else placement(world)
-    found = beginning(train, seen, R, p, number, hints, held, _frame_of_each_row(world, train, labels), known)
+    found = beginning(train, seen, R, p, number, hints, held, station, known)
     return Model(
         robot,
         frames,
@@ -162,8 +153,9 @@ def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple
     Returns:
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
     """
-    _, sigma = _starts(campaign, robot, rows, labels)[0]
-    return sigma
+    model = _start(campaign, robot, rows, labels, ())
+    some = thin(rows_of_data(model, rows), START_ROWS)
+    return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
@@ -230,35 +222,6 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray)
     )
 
 
-def _starts(
-    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...]
-) -> list[tuple[FrameStart, np.ndarray]]:
-    """Closed-form starts of the frames, the best first, and the robust sigma that each leaves, shape (C,)."""
-    bare = Model(robot, ())
-    settings = (campaign.frames.world_base, campaign.frames.tip_target)
-    indices = [_frame_of_each_row(frame, train, labels) for frame in settings]
-    counts = [len(labels) if frame.per == "station" else 1 for frame in settings]
-    hints = [(placement(frame),) * n for frame, n in zip(settings, counts, strict=True)]
-    known = [None if frame.identify else hint for frame, hint in zip(settings, hints, strict=True)]
-    rows = replace(bare.rows(train.readings), world=indices[0], tip=indices[1])
-    some = thin(rows, START_ROWS)
-    R, p = bare.poses(np.zeros(0), rows[some])
-    world, tip = indices[0][some], indices[1][some]
-    measured = train.position[some], None if train.rotation is None else train.rotation[some]
-    starts = start_frames(R, p, *measured, world, tip, known[0], known[1], hints[1])
-
-    def left(start: FrameStart) -> np.ndarray:
-        X = np.array([f.homogeneous for f in start.world_base])[world]
-        Y = np.array([f.homogeneous for f in start.tip_target])[tip]
-        T = np.broadcast_to(np.eye(4), (len(p), 4, 4)).copy()
-        T[:, :3, :3], T[:, :3, 3] = R, p
-        T = X @ T @ Y
-        return robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), train.channels)
-
-    found = [(start, left(start)) for start in starts]
-    return sorted(found, key=lambda pair: float(pair[1][0] + TURN_COUNTS * pair[1][1:].sum()))
-
-
 def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
     """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
     if settings.per != "station":
@@ -267,12 +230,6 @@ def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[st
         raise MeasurementError("a frame is per station: the table needs a `station` column")
     number = {label: k for k, label in enumerate(labels)}
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
-
-
-def _placements(start: FrameStart, campaign: Campaign, labels: tuple[str, ...]) -> tuple[Frames, Frames]:
-    """Frames of the model, with their labels."""
-    world, tip = campaign.frames.world_base, campaign.frames.tip_target
-    return _labelled(world, start.world_base, labels), _labelled(tip, start.tip_target, labels)
 
 
 def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError, NotIdentifiable
-from aridcal.fit.frame_starts import start_frames
+from aridcal.fit.frame_starts import best_start
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.inclination import DOWN
@@ -124,7 +124,7 @@ def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) 
     found = dict(states)
     for b, block in enumerate(seen.blocks):
         kind, own = seen.of_kind(b)
-        for k, role in enumerate(kind.roles):
+        for k, role in enumerate(kind.roles if seen.instruments.things else ()):
             state = found[role.name].copy()
             numbers, rows = np.unique(seen.refers[own, k], return_counts=True)
             lost = ~np.isfinite(state[numbers]).all(axis=1)
@@ -189,7 +189,9 @@ def _from_poses(
     M = None if data.rotation is None else data.rotation[rows]
     if M is not None and np.isnan(M).any():
         M = None
-    candidates = start_frames(
+    targets = {int(k): found.tip_target.get(int(k)) for k in numbers}
+    known = tuple(T for T in targets.values() if T is not None)
+    best = best_start(
         R[rows],
         p[rows],
         data.position[rows],
@@ -197,19 +199,11 @@ def _from_poses(
         station[rows],
         own,
         None if world is None else found.world_base,
-        None,
-        tuple(hints[int(k)] for k in numbers),
+        known if len(known) == len(targets) else None,
+        tuple(hints[k] for k in targets),
     )
-
-    def left(candidate: tuple[tuple[pin.SE3, ...], tuple[pin.SE3, ...]]) -> float:
-        bases, targets = candidate[0], np.array([t.translation for t in candidate[1]])[own]
-        reached = p[rows] + np.einsum("nij,nj->ni", R[rows], targets)
-        turn, place = (np.array([getattr(T, of) for T in bases])[station[rows]] for of in ("rotation", "translation"))
-        off = data.position[rows] - np.einsum("nij,nj->ni", turn, reached) - place
-        return float(np.median(np.linalg.norm(off, axis=1)))
-
-    best = min(((c.world_base, c.tip_target) for c in candidates), key=left)
-    return replace(found, world_base=best[0], tip_target={int(k): t for k, t in zip(numbers, best[1], strict=True)})
+    placed = {k: held or T for (k, held), T in zip(targets.items(), best.tip_target, strict=True)}
+    return replace(found, world_base=best.world_base, tip_target=found.tip_target | placed)
 
 
 def _things(kind: Kind, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
