@@ -90,7 +90,7 @@ def test_smooth_evidence_is_that_of_a_gaussian_process_integrated_in_full():
     A, C, _ = problem(4, n=60, d=8)
     truth = kernel_root((8,), Kernel(3.0)) @ rng.standard_normal(8)
     r = C @ truth + rng.standard_normal(60)
-    gram = accumulate([A], [r]).extended([A], [C], [r])
+    gram = accumulate([np.hstack([A, C])], [r])
     found = shaped(gram, np.zeros((5, 5)), ((8,),), UNIT)
     basis = np.linalg.svd(A)[0][:, 5:]  # what the model cannot take up
     seen, columns = basis.T @ r, basis.T @ C
@@ -124,7 +124,7 @@ def test_solve_gives_each_part_its_own_noise():
 def test_sums_of_combined_columns_are_those_of_the_columns_themselves():
     A, C, r = problem(6)
     T = np.random.default_rng(7).standard_normal((3, 2))
-    short = accumulate([A], [r]).extended([A], [C], [r]).combined(T)
+    short = accumulate([np.hstack([A, C])], [r]).combined(T)
     long = accumulate([np.hstack([A, C @ T])], [r])
     np.testing.assert_allclose(short.AA, long.AA, atol=1e-12)
     np.testing.assert_allclose(short.Ar, long.Ar, atol=1e-12)

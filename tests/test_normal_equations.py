@@ -17,7 +17,6 @@ from aridcal.fit.normal_equations import (
     condition,
     conditional,
     inverse,
-    projected,
     root_of_inverse,
     solve,
 )
@@ -99,26 +98,13 @@ def test_rows_taken_out_were_never_there() -> None:
 
 def test_added_and_combined_and_chosen_unknowns_are_those_of_the_columns_themselves() -> None:
     A, C, r = columns(6, 4), columns(7, 3), right(8)
-    both = accumulate(A, r).extended(A, C, r)
+    cross, own, pull = ([p.T @ q for p, q in zip(*pair, strict=True)] for pair in ((A, C), (C, C), (C, r)))
+    both = accumulate(A, r).bordered(np.array(cross), np.array(own), np.array(pull))
     assert_same(both, accumulate(beside(A, C), r))
     T = np.random.default_rng(9).standard_normal((3, 2))
     assert_same(both.combined(T), accumulate(beside(A, [c @ T for c in C]), r))
     keep = np.array([True, False, True, True, False, False, True])
     assert_same(both.part(keep), accumulate([a[:, keep] for a in beside(A, C)], r))
-
-
-def test_unknowns_solved_for_beforehand_leave_the_joint_solution() -> None:
-    """The others may be anywhere among the unknowns, and believed in beforehand: a prior is a few rows more."""
-    A, r = columns(10, 6), right(11)
-    others = np.array([True, False, True, False, False, True])
-    H, g = accumulate(A, r).information(SIGMA), accumulate(A, r).pull(SIGMA)
-    prior = np.diag([1e2, 1e4, 1e6])
-    for P in (np.zeros((3, 3)), prior):
-        M, s = projected(H, g, others, np.linalg.inv(H[np.ix_(others, others)] + P))
-        rows = np.zeros((3, 6))
-        rows[:, others] = np.sqrt(P)
-        joint = np.linalg.lstsq(np.vstack([stacked(A), rows]), np.append(stacked(r), np.zeros(3)), rcond=None)[0]
-        np.testing.assert_allclose(np.linalg.solve(M, s), joint[~others], rtol=1e-9)
 
 
 @pytest.mark.parametrize("alike", [0.0, 1.0 - 1e-9, 1.0])
@@ -129,7 +115,7 @@ def test_unknowns_added_to_a_known_inverse_have_the_joint_solution(alike: float)
     C[:, :, 0] = alike * A[:, :, 1] + (1.0 - alike) * C[:, :, 0]
     r, sigma = rng.standard_normal((2, 60)), np.array([0.5, 3.0])
     alone, P = accumulate(list(A), list(r)), np.diag([0.3] * 4 + [1e-3] * 3)
-    every = alone.extended(list(A), list(C), list(r))
+    every = accumulate(beside(list(A), list(C)), list(r))
     known = np.linalg.inv(alone.information(sigma) + P[:4, :4])
     theta, spent = added(every, P, known, alone.spent(known, sigma), sigma)
     H = every.information(sigma) + P

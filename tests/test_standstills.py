@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from aridcal.fit.problem import Problem, agreed, problem
-from aridcal.fit.scatter import Scatter, restricted_likelihood
+from aridcal.fit.scatter import Scatter
 from aridcal.fit.stages import fit_geometry
 from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import estimate, one_more
@@ -125,18 +125,18 @@ def test_the_likelihood_with_unknown_things_is_that_of_dense_columns(tmp_path: P
     J = np.concatenate([pieces.J.reshape(n * m, -1), np.zeros((len(left), pieces.J.shape[2]))])
     y = np.concatenate([pieces.r.ravel(), left])
     # Rows of one standstill one after the other, as they were stacked.
-    place = (still.number[:, None] * still.width + still.place).ravel()
+    where = (still.number[:, None] * still.width + still.place).ravel()
     dense, stacked = [], []
     for variance in ([1e-8, 0.0], [2e-8, 1e-8], [0.3e-8, 1e-9]):
         V = np.tensordot(variance, scatter.blocks[:, : still.count], axes=1)
-        V = block_diag(block_diag(*V)[np.ix_(place, place)], np.eye(len(left)))
+        V = block_diag(block_diag(*V)[np.ix_(where, where)], np.eye(len(left)))
         A = np.hstack([J, there])
         W = np.linalg.inv(V)
         H = A.T @ W @ A
         H[: J.shape[1], : J.shape[1]] += scatter.precision
         r = y - A @ np.linalg.solve(H, A.T @ W @ y)
         dense.append(-0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(H)[1] + y @ W @ r))
-        stacked.append(restricted_likelihood(scatter, np.array(variance)))
+        stacked.append(place(scatter, np.array(variance)).log_likelihood)
     np.testing.assert_allclose(np.diff(stacked), np.diff(dense), rtol=1e-6)
 
 

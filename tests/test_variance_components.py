@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.stats import kstest, multivariate_normal
 
 from aridcal.fit import minorant
-from aridcal.fit.scatter import Scatter, conditioned, derivatives, place, restricted_likelihood, told_modes
+from aridcal.fit.scatter import Scatter, conditioned, derivatives, place, told_modes
 from aridcal.fit.variance_components import (
     Components,
     asked_for,
@@ -68,7 +68,7 @@ def dense_likelihood(rows: Scatter, variance: np.ndarray) -> float:
 def test_the_likelihood_is_that_of_dense_matrices(prior: float) -> None:
     rows = scattered(scatter(12, prior=prior), np.array([1.0, 0.3, 0.8, 0.0]), 3)
     for variance in np.random.default_rng(0).uniform(0.1, 2.0, (5, 4)):
-        assert restricted_likelihood(rows, variance) == pytest.approx(dense_likelihood(rows, variance), rel=1e-9)
+        assert place(rows, variance).log_likelihood == pytest.approx(dense_likelihood(rows, variance), rel=1e-9)
 
 
 def test_without_a_prior_it_is_the_density_of_what_the_columns_cannot_reach() -> None:
@@ -79,7 +79,7 @@ def test_without_a_prior_it_is_the_density_of_what_the_columns_cannot_reach() ->
         contrasts = null_space(A.T)
         covariance = contrasts.T @ V @ contrasts
         densities.append(multivariate_normal.logpdf(contrasts.T @ y, cov=covariance))
-        likelihoods.append(restricted_likelihood(rows, variance))
+        likelihoods.append(place(rows, variance).log_likelihood)
     np.testing.assert_allclose(np.diff(likelihoods), np.diff(densities), rtol=1e-8)
 
 
@@ -166,7 +166,7 @@ def test_rows_of_wild_weights_are_looked_at_as_well_in_single_precision() -> Non
     rows = hard(weights=10.0 ** rng.choice([-3.0, 0.0, 3.0], 150, p=[0.05, 0.9, 0.05]))
     near = conditioned(rows, np.array([1.0, 0.1, 0.0, 0.0]))
     variances = np.array([1.0, 0.1, 0.6, 0.05]) * np.exp(rng.uniform(-1.0, 1.0, (6, 4)))
-    one, two = (np.array([restricted_likelihood(s, v) for v in variances]) for s in (near, rows))
+    one, two = (np.array([place(s, v).log_likelihood for v in variances]) for s in (near, rows))
     # A combination of columns that is rounding beside such weights has a ridge: a constant.
     np.testing.assert_allclose(one - one[0], two - two[0], atol=1e-3)
 
@@ -194,10 +194,10 @@ def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
             best = settled(rows, one, HELD)
             best = settled(rows, replace(best, left=1.0), HELD)  # a step further
             assert one.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
-            assert restricted_likelihood(rows, one.variance) == pytest.approx(best.log_likelihood, abs=0.1)
+            assert place(rows, one.variance).log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
             last = settled(rows, one, HELD)
             assert last.log_likelihood == pytest.approx(best.log_likelihood, abs=1e-3)
-            assert restricted_likelihood(rows, last.variance) == pytest.approx(best.log_likelihood, abs=1e-3)
+            assert place(rows, last.variance).log_likelihood == pytest.approx(best.log_likelihood, abs=1e-3)
 
 
 def test_modes_of_which_nothing_is_told_change_no_likelihood_and_go() -> None:
@@ -208,7 +208,7 @@ def test_modes_of_which_nothing_is_told_change_no_likelihood_and_go() -> None:
 
     def likelihood(columns: np.ndarray, variance: np.ndarray) -> float:
         precision = block_diag(rows.precision, np.eye(columns.shape[2]))
-        return restricted_likelihood(replace(rows, A=np.append(rows.A, columns, axis=2), precision=precision), variance)
+        return place(replace(rows, A=np.append(rows.A, columns, axis=2), precision=precision), variance).log_likelihood
 
     both = np.array([[likelihood(c, v) for c in (modes, modes @ told)] for v in rng.uniform(0.3, 2.0, (4, 4))])
     np.testing.assert_allclose(both[:, 0], both[:, 1], atol=1e-3)
@@ -283,7 +283,7 @@ def test_the_chance_at_the_boundary_is_half_of_a_chi_square() -> None:
         clean = replace(clean, blocks=clean.blocks[:3])
         found = estimate(clean, np.ones(2), HELD[:3])
         grid = np.concatenate([[0.0], np.geomspace(1e-3, 1.0, 15)])
-        best = max(restricted_likelihood(clean, np.array([*found.variance[:2], v])) for v in grid)
+        best = max(place(clean, np.array([*found.variance[:2], v])).log_likelihood for v in grid)
         chances.append(boundary_chance(2.0 * (best - found.log_likelihood)))
     chances = np.array(chances)
     assert np.mean(chances > 0.49) == pytest.approx(0.5, abs=0.14)  # three standard deviations

@@ -75,13 +75,6 @@ class NormalEquations:
         """Those of some of the unknowns."""
         return NormalEquations(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
 
-    def extended(self, A: Sequence[np.ndarray], C: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquations:
-        """Those of columns A with columns C added, where those of A are known; one array for each channel."""
-        cross = np.array([a.T @ c for a, c in zip(A, C, strict=True)])
-        own = np.array([c.T @ c for c in C])
-        pull = np.array([c.T @ b for c, b in zip(C, r, strict=True)])
-        return self.bordered(cross, own, pull)
-
     def bordered(self, cross: np.ndarray, own: np.ndarray, pull: np.ndarray) -> NormalEquations:
         """Those with d columns added, of which all products are known.
 
@@ -292,28 +285,6 @@ def added(
     cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
     more = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
     return theta, spent + np.einsum("ij,cji->c", S, more) / sigma**2
-
-
-def projected(
-    H: np.ndarray, g: np.ndarray, others: np.ndarray, others_inverse: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    r"""Equations of some unknowns with others solved for: the Schur complement.
-
-    .. math:: M = H_{bb} - H_{ba} H_{aa}^{-1} H_{ab}, \qquad s = g_b - H_{ba} H_{aa}^{-1} g_a
-
-    Args:
-        H: Shape (K, K).
-        g: Shape (K,).
-        others: Mask of the unknowns a that are solved for, shape (K,).
-        others_inverse: H_aa^-1, with a prior if there is one.
-
-    Returns:
-        M of shape (d, d) and s of shape (d,) for the d unknowns b.
-    """
-    own = ~others
-    cross = H[np.ix_(own, others)]
-    M = H[np.ix_(own, own)] - cross @ others_inverse @ cross.T
-    return M, g[own] - cross @ (others_inverse @ g[others])
 
 
 @dataclass(frozen=True)

@@ -168,11 +168,6 @@ class _White:
     logdet: float
 
 
-def restricted_likelihood(scatter: Scatter, variance: np.ndarray) -> float:
-    """The restricted log-likelihood at some variances, shape (C,), but for a constant."""
-    return place(scatter, variance).log_likelihood
-
-
 def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     """The same with columns besides that are orthonormal at some variances, shape (C,), and residuals that are small there."""
     white, plain = _white(scatter, variance), scatter.columns
