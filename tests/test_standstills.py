@@ -11,7 +11,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from aridcal.fit.problem import Problem, agreed, problem
-from aridcal.fit.scatter import Scatter
+from aridcal.fit.scatter import Scatter, place
 from aridcal.fit.stages import fit_geometry
 from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import estimate, one_more
