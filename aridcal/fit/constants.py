@@ -8,9 +8,9 @@ import pinocchio as pin
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.errors import RobotError
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.read import per_station
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot

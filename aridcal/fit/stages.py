@@ -16,10 +16,10 @@ from aridcal.fit.flags import robust_sigma
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
-from aridcal.fit.thing_starts import TIP, beginning
+from aridcal.fit.thing_starts import beginning
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TargetSettings
+from aridcal.inputs.instrument_settings import TIP, TargetSettings
 from aridcal.instruments.channels import spread
 from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import Frames, Model

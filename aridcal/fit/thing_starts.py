@@ -19,9 +19,6 @@ from aridcal.instruments.setup import Things
 from aridcal.instruments.starts import Start, aligned, starts
 from aridcal.model.measured import Measured
 
-TIP = "tip"
-"""Label of the frame of rows whose target is the tip itself: those of cameras."""
-
 MOST_ROWS = 1000
 """Rows of a block that a start is found from: more sharpen it by nothing."""
 

@@ -25,6 +25,7 @@ Side = Annotated[int, Field(ge=1, le=100_000)]
 """Of an image, [px]: the largest sensors have some 15,000."""
 
 TIP, WORLD = "tip", "world"
+"""What things are on where no link is named; also the label of a target that is the tip itself, as cameras see it."""
 
 Carrier = str
 """What something is fixed to: ``tip``, ``world``, or a link of the URDF."""

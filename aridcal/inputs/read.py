@@ -22,6 +22,7 @@ from aridcal.inputs.checks import (
     stale_rows,
 )
 from aridcal.inputs.dataset import Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
@@ -40,9 +41,6 @@ from aridcal.robot.chain import JointKind, Robot, Route, check_route
 
 if TYPE_CHECKING:
     from aridcal.inputs.tables import AnyTable, Table
-
-TIP = "tip"
-"""Label of the target of pixels beside other blocks: the tip's own frame, to which cameras or markers are fixed."""
 
 ONE_TARGET = "target"
 """Label of the target of rows that name none, where others do."""

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights, sights_from
 from aridcal.errors import CampaignError
-from aridcal.inputs.instrument_settings import WORLD, TargetSettings
+from aridcal.inputs.instrument_settings import TIP, WORLD, TargetSettings
 from aridcal.inputs.measurement_settings import SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.orientations import POSITION, QUATERNION
-from aridcal.inputs.read import ONE_TARGET, TIP, own_target
+from aridcal.inputs.read import ONE_TARGET, own_target
 from aridcal.inputs.routes import routes_of
 from aridcal.inputs.things import Known, known_of
 from aridcal.instruments.catalogue import KINDS, labelled

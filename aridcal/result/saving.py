@@ -17,8 +17,8 @@ from aridcal.fit.least_squares import LEAST_FREEDOM, Fit
 from aridcal.fit.noise import contradicted
 from aridcal.fit.problem import problem
 from aridcal.fit.tails import Tails, tails_of
-from aridcal.fit.thing_starts import TIP
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.row_facts import Labels
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
 from aridcal.instruments.channels import columns, norms, spread

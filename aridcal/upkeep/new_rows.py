@@ -16,10 +16,10 @@ from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.counting import check_joints
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import InstrumentSettings
+from aridcal.inputs.instrument_settings import TIP, InstrumentSettings
 from aridcal.inputs.orientations import column_of
 from aridcal.inputs.quantities import POSITION
-from aridcal.inputs.read import ONE_TARGET, TIP, load_measurements, own_target
+from aridcal.inputs.read import ONE_TARGET, load_measurements, own_target
 from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.catalogue import KINDS

@@ -18,7 +18,8 @@ from aridcal.fit.stages import placement
 from aridcal.fit.thing_starts import beginning
 from aridcal.inputs.campaign import Frames as FrameChoice
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import ONE_TARGET, TIP
+from aridcal.inputs.instrument_settings import TIP
+from aridcal.inputs.read import ONE_TARGET
 from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import ONE_FRAME, Model
 from aridcal.result.saved_model import SolvedModel
