@@ -116,13 +116,13 @@ def summary(outcome: Outcome, console: Console) -> None:
 
 def _error_table(outcome: Outcome) -> Table:
     """Errors of every stage on the rows that judge the calibration."""
-    from aridcal.result.key_figures import scored
+    from aridcal.result.key_figures import judged_channels, scored
     from aridcal.result.outcome import errors
 
     mask, rows = scored(outcome)
     table = Table(title=f"error on {mask.sum()} {rows}, the instrument's noise included", title_justify="left")
     table.add_column("model", no_wrap=True)
-    first, *others = (channel for channel in outcome.channels if not channel.inner)
+    first, *others = (outcome.channels[k] for k in judged_channels(outcome))
     shown = [(first, key) for key in SHOWN] + [(channel, key) for channel in others for key in SHOWN[:2]]
     several = len(outcome.measurements.blocks) > 1
     for channel, key in shown:

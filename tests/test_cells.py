@@ -16,6 +16,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import aridcal
+from aridcal import identify
 from aridcal.errors import AridcalError
 
 LIMIT = 1.3
@@ -255,3 +256,28 @@ def test_targets_that_are_known_stay_where_they_are_stated(tmp_path: Path) -> No
     np.testing.assert_array_equal(placed["tool"], cells.FINGER)
     off = np.linalg.norm(placed["turntable"] - cells.FINGER)
     assert 0.0 < off < 5e-3, "the turntable's own constants may take up what 1 mm and 1 mrad make of it"
+
+
+def with_split(folder: Path, **split: str) -> Path:
+    """Rows of a moved tracker, of touches, and a split of the tracker's that depends on the station."""
+    path, _ = moved_tracker(folder, True)
+    table = pd.read_csv(folder / "tracker.csv")
+    table.assign(split=table["station"].map(split)).to_csv(folder / "tracker.csv", index=False)
+    return path
+
+
+def test_a_station_with_held_out_rows_alone_is_refused(tmp_path: Path) -> None:
+    """The table says so itself; that touches have no split of their own changes nothing."""
+    with pytest.raises(AridcalError, match="station 'south' has only `test` rows"):
+        aridcal.calibrate(with_split(tmp_path, north="train", south="test"))
+
+
+@pytest.mark.filterwarnings("error")
+def test_figures_are_those_of_the_blocks_with_held_out_rows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The tracker's table keeps all its rows for training: no error of it is known, and none is shown."""
+    path = with_split(tmp_path, north="train", south="train")
+    assert identify.main([str(path), "-o", str(tmp_path / "results")]) == 0
+    said = capsys.readouterr().out
+    assert "nan" not in said and "point_position RMS" in said and "position_position RMS" not in said
+    report = (tmp_path / "results" / "report.html").read_text()
+    assert "on 0 held-out rows" not in report

@@ -114,15 +114,17 @@ def load_measurements(
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
     if not require_pose or _direct(campaign, parts[0].rows):
-        rows = with_training_rows(parts[0].rows, per_station(campaign)) if fitted else parts[0].rows
+        rows = parts[0].rows
+        if fitted:
+            rows = with_training_rows(rows, per_station(campaign), np.full(len(rows), not rows.origin.split_given))
         return weighed(rows, parts[0].noise)
     if not fitted:
         there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
     rows = _targets_told(campaign, together([part.rows for part in parts]))
     if fitted:
-        rows = with_training_rows(rows, per_station(campaign))
         drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
+        rows = with_training_rows(rows, per_station(campaign), drawn)
         rows = with_training_labels(rows, drawn)
     rows = weighed_apart(rows, [part.noise for part in parts])
     return _with_instruments(rows, asked)

@@ -62,30 +62,32 @@ def draw_split(block: np.ndarray, seed: int) -> np.ndarray:
     return chosen[block]
 
 
-def with_training_rows(data: Dataset, per_station: bool) -> Dataset:
+def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> Dataset:
     """The same rows with training rows at every station that has a frame of its own.
 
     Args:
         data: N rows with their split.
         per_station: True if a frame is one for each station.
+        drawn: Rows whose split was drawn; where a table says `test`, that stays, shape (N,) bool.
 
     Returns:
         The rows; a station that the draw left without training rows has none held out, which is noted.
 
     Raises:
-        MeasurementError: the table's own split leaves a station without training rows.
+        MeasurementError: a table's own split leaves a station without training rows.
     """
     if data.labels.station is None or not per_station:
         return data
     lone = sorted({str(s) for s in data.labels.station} - {str(s) for s in data.labels.station[data.train]} - {""})
     if not lone:
         return data
-    if data.origin.split_given:
-        raise MeasurementError(f"station {lone[0]!r} has only `test` rows: its frame cannot be identified")
+    alone = np.isin(data.labels.station.astype(str), lone)
+    if (stated := alone & ~drawn).any():
+        first = data.labels.station[stated][0]
+        raise MeasurementError(f"station {str(first)!r} has only `test` rows: its frame cannot be identified")
     why = f"all rows of station {', '.join(lone)} are needed for its frame: none of them is held out"
     note = Remark(data.origin.files[0].name, None, "station", "", why)
-    test = data.test & ~np.isin(data.labels.station.astype(str), lone)
-    return replace(data, test=test).with_origin(notices=(note, *data.origin.notices))
+    return replace(data, test=data.test & ~alone).with_origin(notices=(note, *data.origin.notices))
 
 
 def with_training_labels(data: Dataset, drawn: np.ndarray) -> Dataset:

@@ -38,6 +38,7 @@ from aridcal.result.key_figures import (
     every_held_out_row,
     final_halves,
     generalisation,
+    judged_channels,
     narrow_joints,
     or_as_well,
     over_time,
@@ -115,7 +116,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     ]
     if links:
         yield tag("p", "In this folder: ", links[1:], class_="about")
-    cards = [_card(outcome, k) for k, channel in enumerate(outcome.channels) if not channel.inner]
+    cards = [_card(outcome, k) for k in judged_channels(outcome)]
     yield tag("div", cards, _other_day(outcome), class_="cards")
     for good, words in kept_in_words(outcome, asked=True):
         yield tag("p", tag("strong", words), class_="good" if good else "look")

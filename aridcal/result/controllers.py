@@ -21,7 +21,7 @@ from aridcal.fit.stages import recentred
 from aridcal.inputs.dataset import Dataset, with_sigma
 from aridcal.instruments.channels import Channel, columns
 from aridcal.model.model import Model
-from aridcal.result.key_figures import scored
+from aridcal.result.key_figures import judged_channels, scored
 from aridcal.result.outcome import Outcome, leading
 from aridcal.robot.chain import Robot, same_chain
 from aridcal.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
@@ -101,7 +101,7 @@ def hand_over(outcome: Outcome) -> Handover:
     """
     m, final = outcome.measurements, outcome.stage("final")
     judged, kind = scored(outcome)
-    first = leading(m)[0]
+    first = next((k for k in leading(m) if k in judged_channels(outcome)), leading(m)[0])
     part = columns(m.channels)[first]
 
     def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:

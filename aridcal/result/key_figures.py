@@ -141,6 +141,15 @@ def overall(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.nda
     return statistics(sizes[~np.isnan(sizes)])["rms"]
 
 
+def judged_channels(outcome: Outcome) -> tuple[int, ...]:
+    """Numbers of the channels that the rows which judge the calibration measure, without those that tell nothing of the arm.
+
+    A block whose table says that all its rows are for training has none of them.
+    """
+    measured = outcome.measurements.measures[scored(outcome)[0]].any(axis=0)
+    return tuple(k for k, channel in enumerate(outcome.channels) if measured[k] and not channel.inner)
+
+
 def judging_errors(residual: np.ndarray, rows: Dataset, sigma: np.ndarray) -> np.ndarray:
     """Error of each row in the channel that judges it, shape (N,): as it is shown; in sigmas where there are several."""
     sizes = row_errors(residual, rows.channels)
@@ -301,9 +310,11 @@ def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
 
 
 def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:
-    """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,)."""
+    """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,); NaN where no row has measured it."""
     scale = spread(np.array([channel.scale for channel in channels]), channels)
-    return np.asarray(scale * np.sqrt(np.nanmean(residual**2, axis=0)))
+    there = ~np.isnan(residual)
+    squares = np.where(there, residual, 0.0) ** 2
+    return np.asarray(scale * np.sqrt(squares.sum(axis=0) / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))
 
 
 def worst_rows(outcome: Outcome, count: int) -> np.ndarray:
