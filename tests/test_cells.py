@@ -281,3 +281,13 @@ def test_figures_are_those_of_the_blocks_with_held_out_rows(tmp_path: Path, caps
     assert "nan" not in said and "point_position RMS" in said and "position_position RMS" not in said
     report = (tmp_path / "results" / "report.html").read_text()
     assert "on 0 held-out rows" not in report
+
+
+def test_a_target_that_no_key_names_beside_others_is_said_to_be_on_the_tip(tmp_path: Path) -> None:
+    """It may be a slip of the pen: the nearest name is given."""
+    path, _ = moved_tracker(tmp_path, False)
+    table = pd.read_csv(tmp_path / "tracker.csv")
+    table.loc[::11, "target"] = table.loc[::11, "target"].replace("tool", "tol")
+    table.to_csv(tmp_path / "tracker.csv", index=False)
+    notices = [notice for notice in aridcal.calibrate(path).result["notices"] if "'tol'" in notice]
+    assert len(notices) == 1 and "did you mean 'tool'" in notices[0] and "on the tip, flange" in notices[0]

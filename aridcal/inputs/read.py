@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -423,24 +423,32 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     ]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
-        _check_targets(rows, asked.campaign)
+        remarks = [*remarks, *_undeclared_targets(rows, asked.campaign)]
         rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
     _refuse_things_at_stations(rows, asked.campaign)
     notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
     return replace(rows, instruments=made).with_origin(notices=(*rows.origin.notices, *notices))
 
 
-def _check_targets(rows: Dataset, campaign: Campaign) -> None:
-    """Refuse targets of which nobody says what carries them, where no tip is named.
+def _undeclared_targets(rows: Dataset, campaign: Campaign) -> Iterator[str]:
+    """Remarks on targets beside others of which the campaign says what carries them: a label may be misspelt.
 
     Raises:
-        MeasurementError: naming the first.
+        MeasurementError: there is no tip that would carry them; naming the first.
     """
-    if "tip" in campaign.robot.model_fields_set or rows.labels.target is None:
+    if rows.labels.target is None:
         return
     bare = np.array([block.traits.bare for block in rows.blocks])[rows.labels.block]
-    untold = sorted(set(rows.labels.target[~bare].tolist()) - set(campaign.instruments.targets))
-    if untold:
+    stated = campaign.instruments.targets
+    untold = sorted(set(rows.labels.target[~bare].tolist()) - set(stated))
+    if "tip" in campaign.robot.model_fields_set:
+        named = [label for label in untold if label not in {ONE_TARGET, *(block.name for block in rows.blocks)}]
+        for label in named if stated else ():
+            yield (
+                f"target {label!r}{nearest(label, stated)}: no key instruments.targets.{label} says on which link it is; "
+                f"it is taken to be on the tip, {campaign.robot.tip}"
+            )
+    elif untold:
         raise MeasurementError(
             f"{rows.title}: no key says on which link the target {untold[0]!r} is: add instruments.targets.{untold[0]}: "
             "{on: LINK}, or name robot.tip, which carries all others"
