@@ -37,6 +37,9 @@ KEPT = 2**25
 """Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
 needed."""
 
+LIMBS = 16
+"""Kinds of rows, by the columns that move them, up to which each is multiplied by its own: of more each has too few rows."""
+
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
@@ -166,6 +169,7 @@ class Products:
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
+        self._alike: dict[Effect | None, list[np.ndarray]] = {}
         self._local: dict[tuple[int, ...], Local | None] = {}
         self._moved: dict[int, bytes] = {}
         self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
@@ -213,12 +217,14 @@ class Products:
         self._place.clear()
         self._moving.clear()
         self._limbs.clear()
+        self._alike.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
         del self._known[effect]
         self._columns.pop(effect, None)
         self._pull.pop(effect, None)
+        self._alike.pop(effect, None)
         for key in [key for key in self._between if effect in key]:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
@@ -406,15 +412,27 @@ class Products:
     def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
         """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
         Y = self.columns(member)
-        if chunk.rows is None:
+        limbs = [chunk.rows] if chunk.rows is not None else self._rows_alike(member) if chunk.grid is not None else []
+        if not limbs:
             return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
-        own, some = self._in_rows(member, chunk.rows)
         made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
-        if chunk.grid is not None:
-            made[:, :, some] = replace(chunk.grid, rows=None).across(own)
-        else:
-            made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
+        for rows in limbs:
+            own, some = self._in_rows(member, rows)
+            if chunk.grid is not None:
+                made[:, :, some] += chunk.grid.among(rows).across(own)
+            else:
+                made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
         return made
+
+    def _rows_alike(self, member: Effect | None) -> list[np.ndarray]:
+        """Places of the rows that the same columns of a member move, limb by limb; none where that tells few of them apart."""
+        if member not in self._alike:
+            by_row = [y.reshape(len(self.layout.order), -1, y.shape[1]) for y in self.columns(member)]
+            moved = np.packbits(np.any([y.any(axis=1) for y in by_row], axis=0), axis=1)
+            kinds, number = np.unique(moved, axis=0, return_inverse=True)
+            few = 1 < len(kinds) <= LIMBS
+            self._alike[member] = [np.flatnonzero(number == k) for k in range(len(kinds))] if few else []
+        return self._alike[member]
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
         """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
