@@ -506,6 +506,14 @@ class Model:
         pairs = [(arm, np.flatnonzero(route == k)) for k, arm in enumerate(self._arms)]
         return [(arm, some) for arm, some in pairs if len(some)]
 
+    def chains(self, rows: Rows) -> list[tuple[slice | np.ndarray, Model, np.ndarray, Rows]]:
+        """Of rows that take several paths, those of each: their numbers, its chain, this one's coefficients, and they themselves.
+
+        Nothing where the model is one chain.
+        """
+        every = self._by_arm(len(rows), rows.route) if self._divided else []
+        return [(some, arm.model, arm.own, arm.rows(rows, some)) for arm, some in every]
+
     @cached_property
     def _extended(self) -> ExtendedModel:
         world, tip = (tuple(placement for _, placement in frames) for frames in (self.world_base, self.tip_target))
