@@ -314,7 +314,7 @@ def _sides(
     for way in ways:
         if way.of not in made:
             same = np.array([other.side for other in ways if other.of == way.of])
-            bits = np.arange(len(same))
+            bits = np.arange(len(same))[::-1]
             code, number = np.unique(2**bits @ same, return_inverse=True)
             parts = code >> bits[:, None] & 1
             crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
