@@ -24,11 +24,6 @@ from aridcal.instruments.channels import Channels, columns, spread
 THINGS = 4
 """Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
-MANY = 300
-"""Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
-less than the search for them."""
-
-
 NUMBERS = 1024
 """Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
@@ -109,23 +104,19 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         seen = np.where(question.measured[block].absent, np.nan, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.repeats.share)[:, None]
+        r, own = r * root, root[:, :, None]
         if sums is not None:
-            own, wide = root[:, :, None], question.group_of(block)
-            sums.add(wide, B * own, J * own, r * root, channels)
-        # Frames of other stations move none of these rows.
-        some = np.flatnonzero(J.any(axis=(0, 1))) if count > MANY else np.arange(count)
-        few = len(some) < count
-        J = J[:, :, some] if few else J
-        for k, part in enumerate(columns(channels)):
-            A = (J[:, part] * root[:, :, None]).transpose(
-                1, 2, 0
-            )  # number by number: rows run fastest in J, or slowest
-            own = (A @ A.transpose(0, 2, 1)).sum(axis=0)
-            if few:
-                AA[k][np.ix_(some, some)] += own
-            else:
-                AA[k] += own
-            Ar[k][some] += (A @ (r[:, part] * root).T[:, :, None])[:, :, 0].sum(axis=0)
+            sums.add(question.group_of(block), B * own, J * own, r, channels)
+        for rows in question.limbs(block):
+            X = J[rows]
+            some = np.flatnonzero(
+                X.any(axis=(0, 1))
+            )  # other limbs, and frames of other stations, move none of these rows
+            X = (X[:, :, some] if len(some) < count else X) * own[rows]
+            for k, part in enumerate(columns(channels)):
+                A = X[:, part].transpose(1, 2, 0)  # number by number: rows run fastest in J, or slowest
+                AA[k][np.ix_(some, some)] += (A @ A.transpose(0, 2, 1)).sum(axis=0)
+                Ar[k][some] += (A @ r[rows, part].T[:, :, None])[:, :, 0].sum(axis=0)
         parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
@@ -224,14 +215,20 @@ def triangle(
         if found is not None:
             r, J = found.rows(question.group_of(block), part.B, J, r)
         whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
-        R = _triangle(R, whitened.reshape(-1, count))
+        parts = [R, *(of for rows in question.limbs(block) for of in _triangles(whitened[rows]))]
+        R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return R
 
 
-def _triangle(R: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """R of the QR of a triangle (<= k, k) and more numbers (n, k), some at a time: they stay in the cache."""
-    parts = [np.linalg.qr(A[start : start + NUMBERS], mode="r") for start in range(0, len(A), NUMBERS)]
-    return np.asarray(np.linalg.qr(np.vstack([R, *parts]), mode="r"))
+def _triangles(A: np.ndarray) -> Iterator[np.ndarray]:
+    """R of the QR of the numbers of rows, shape (n, m, k), some at a time, so that they stay in the cache: (<= k, k) each."""
+    some = np.flatnonzero(A.any(axis=(0, 1)))
+    flat = A[:, :, some].reshape(-1, len(some))
+    for start in range(0, len(flat), NUMBERS):
+        R = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+        made = np.zeros((len(R), A.shape[2]))
+        made[:, some] = R
+        yield made
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
