@@ -223,7 +223,7 @@ def triangle(
 def _triangles(A: np.ndarray) -> Iterator[np.ndarray]:
     """R of the QR of the numbers of rows, shape (n, m, k), some at a time, so that they stay in the cache: (<= k, k) each."""
     some = np.flatnonzero(A.any(axis=(0, 1)))
-    flat = A[:, :, some].reshape(-1, len(some))
+    flat = A[:, :, some].reshape(A.shape[0] * A.shape[1], len(some))
     for start in range(0, len(flat), NUMBERS):
         R = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
         made = np.zeros((len(R), A.shape[2]))

@@ -234,7 +234,8 @@ def pairs(
     products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
     """
     used = state.used
-    G = model.G[used] / state.sigma[:, None]
+    G = model.G[used]
+    G /= state.sigma[:, None]
     weight = np.einsum("nms,nms->ns", G, G)
     pull = np.einsum("nms,nm->ns", G, state.residual[used] / state.sigma) / np.sqrt(np.maximum(weight, TINY))
     pull[:, weight.sum(0) <= 0.0] = 0.0
