@@ -24,6 +24,10 @@ from aridcal.instruments.channels import Channels, columns, spread
 THINGS = 4
 """Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
+MANY = 300
+"""Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
+less than the search for them."""
+
 NUMBERS = 1024
 """Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
@@ -104,19 +108,15 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         seen = np.where(question.measured[block].absent, np.nan, r)
         w = cauchy(seen, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.repeats.share)[:, None]
-        r, own = r * root, root[:, :, None]
         if sums is not None:
-            sums.add(question.group_of(block), B * own, J * own, r, channels)
-        for rows in question.limbs(block):
-            X = J[rows]
-            some = np.flatnonzero(
-                X.any(axis=(0, 1))
-            )  # other limbs, and frames of other stations, move none of these rows
-            X = (X[:, :, some] if len(some) < count else X) * own[rows]
+            own, wide = root[:, :, None], question.group_of(block)
+            sums.add(wide, B * own, J * own, r * root, channels)
+        for rows, some, X in _by_limb(question, block, J, MANY):
             for k, part in enumerate(columns(channels)):
-                A = X[:, part].transpose(1, 2, 0)  # number by number: rows run fastest in J, or slowest
+                # Number by number: rows run fastest in J, or slowest.
+                A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
                 AA[k][np.ix_(some, some)] += (A @ A.transpose(0, 2, 1)).sum(axis=0)
-                Ar[k][some] += (A @ r[rows, part].T[:, :, None])[:, :, 0].sum(axis=0)
+                Ar[k][some] += (A @ (r[rows, part] * root[rows]).T[:, :, None])[:, :, 0].sum(axis=0)
         parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
@@ -215,20 +215,30 @@ def triangle(
         if found is not None:
             r, J = found.rows(question.group_of(block), part.B, J, r)
         whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
-        parts = [R, *(of for rows in question.limbs(block) for of in _triangles(whitened[rows]))]
+        parts = [R]
+        for _, some, X in _by_limb(question, block, whitened):
+            flat = X.reshape(X.shape[0] * X.shape[1], len(some))
+            for start in range(0, len(flat), NUMBERS):
+                own = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+                parts.append(np.zeros((len(own), count)))
+                parts[-1][:, some] = own
         R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return R
 
 
-def _triangles(A: np.ndarray) -> Iterator[np.ndarray]:
-    """R of the QR of the numbers of rows, shape (n, m, k), some at a time, so that they stay in the cache: (<= k, k) each."""
-    some = np.flatnonzero(A.any(axis=(0, 1)))
-    flat = A[:, :, some].reshape(A.shape[0] * A.shape[1], len(some))
-    for start in range(0, len(flat), NUMBERS):
-        R = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
-        made = np.zeros((len(R), A.shape[2]))
-        made[:, some] = R
-        yield made
+def _by_limb(
+    question: Problem, block: slice, J: np.ndarray, many: float = np.inf
+) -> Iterator[tuple[slice | np.ndarray, np.ndarray, np.ndarray]]:
+    """Rows of a stretch that take the same path, the columns of J that may move them, and these of J, (n, m, k).
+
+    Other limbs move none of them; where there is one path only, of more columns than so many those that are zero are left out.
+    """
+    limbs = question.limbs(block)
+    for rows in limbs:
+        own, some = J[rows], np.arange(J.shape[2])
+        if len(limbs) > 1 or len(some) > many:
+            some = np.flatnonzero(own.any(axis=(0, 1)))
+        yield rows, some, own[:, :, some] if len(some) < J.shape[2] else own
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
