@@ -511,7 +511,7 @@ class Model:
 
         Nothing where the model is one chain.
         """
-        every = self._by_arm(len(rows), rows.route) if self._divided else []
+        every = self._by_arm(len(rows), rows.route) if self.divided else []
         return [(some, arm.model, arm.own, arm.rows(rows, some)) for arm, some in every]
 
     @cached_property
