@@ -46,6 +46,7 @@ from aridcal.inputs.measurement_settings import length_argument
 from aridcal.instruments.channels import INCLINATION
 from aridcal.plant.keys import files_of
 from aridcal.reading.files import RESULT, read_file
+from aridcal.reading.freed import held
 from aridcal.reading.names import path_argument
 from aridcal.result.reading import read_job
 from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
@@ -229,8 +230,9 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         from aridcal.prepare.other_readings import refuse_misread
         from aridcal.result.pipeline import identify
 
-        outcome = identify(job, verify=arguments.verify, progress=progress, judge=refuse_misread)
-        written = write_folder(outcome, out, progress)
+        with held():
+            outcome = identify(job, verify=arguments.verify, progress=progress, judge=refuse_misread)
+            written = write_folder(outcome, out, progress)
     summary(outcome, console)
     handover = written.handover
     console.print(

@@ -17,7 +17,7 @@ import robots
 from scipy.stats import binom
 
 from aridcal.fit.flags import cluster, coordinates
-from aridcal.inputs.repeats import by_appearance, first_alike
+from aridcal.inputs.repeats import by_appearance, first_alike, seen_before
 from aridcal.inputs.tables import _floats
 from aridcal.result.folder import residual_table, write_results
 from aridcal.result.pipeline import identify
@@ -105,6 +105,15 @@ def test_a_whole_calibration_needs_neither_scipy_stats_nor_pandas_nor_matplotlib
     assert not there & {"cv2", "matplotlib", "pandas", "scipy.interpolate", "scipy.stats"}
 
 
+def test_nor_do_targets_that_a_table_names(tmp_path: Path) -> None:
+    truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(1), noise=1e-4)
+    rows = robots.table(truth).assign(target=np.where(np.arange(60) % 2, "left", "right"))
+    ends = {side: {"on": truth.model.robot.tip} for side in ("left", "right")}
+    path = robots.write_campaign(tmp_path, truth, rows, instruments={"targets": ends})
+    there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 0", str(path))
+    assert not there & {"cv2", "matplotlib", "pandas", "scipy.interpolate", "scipy.stats"}
+
+
 @pytest.mark.parametrize("module", ["aridcal", "aridcal.command_line"])
 def test_what_every_command_loads_is_little(module: str) -> None:
     assert not loaded(f"import {module}") & {*SLOW, "numpy"}
@@ -128,6 +137,15 @@ def test_rows_that_are_alike_are_those_that_pandas_finds(seed: int) -> None:
 
 def test_of_no_rows_none_are_alike() -> None:
     assert len(first_alike([np.zeros(0)])) == len(by_appearance(np.zeros(0))) == 0
+
+
+def test_rows_that_were_seen_before_are_counted_as_pandas_counts() -> None:
+    labels = np.random.default_rng(0).integers(0, 40, 300)
+    mixed = pd.Series(labels).sample(frac=1.0, random_state=0)
+    order = np.random.RandomState(0).permutation(300)
+    np.testing.assert_array_equal(order, mixed.index)
+    np.testing.assert_array_equal(seen_before(labels[order]), mixed.groupby(mixed).cumcount())
+    assert len(seen_before(labels[:0])) == 0
 
 
 def test_numbers_of_arrow_are_read_as_its_own_conversion_does() -> None:

@@ -90,6 +90,13 @@ class Problem:
         """Stretches of rows that are differentiated at a time; their passing is told."""
         yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
 
+    def limbs(self, part: slice) -> list[slice | np.ndarray]:
+        """Rows of a stretch that take the same path, by their places in it."""
+        if self.rows.route is None:
+            return [slice(None)]
+        route = self.rows.route[part]
+        return [np.flatnonzero(route == path) for path in np.unique(route)]
+
     def select(self, some: np.ndarray) -> Problem:
         """The same question about some of the rows."""
         groups = None if self.groups is None else self.groups.select(some)

@@ -28,7 +28,6 @@ MANY = 300
 """Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
 less than the search for them."""
 
-
 NUMBERS = 1024
 """Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
@@ -112,20 +111,12 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         if sums is not None:
             own, wide = root[:, :, None], question.group_of(block)
             sums.add(wide, B * own, J * own, r * root, channels)
-        # Frames of other stations move none of these rows.
-        some = np.flatnonzero(J.any(axis=(0, 1))) if count > MANY else np.arange(count)
-        few = len(some) < count
-        J = J[:, :, some] if few else J
-        for k, part in enumerate(columns(channels)):
-            A = (J[:, part] * root[:, :, None]).transpose(
-                1, 2, 0
-            )  # number by number: rows run fastest in J, or slowest
-            own = (A @ A.transpose(0, 2, 1)).sum(axis=0)
-            if few:
-                AA[k][np.ix_(some, some)] += own
-            else:
-                AA[k] += own
-            Ar[k][some] += (A @ (r[:, part] * root).T[:, :, None])[:, :, 0].sum(axis=0)
+        for rows, some, X in _by_limb(question, block, J, MANY):
+            for k, part in enumerate(columns(channels)):
+                # Number by number: rows run fastest in J, or slowest.
+                A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
+                AA[k][np.ix_(some, some)] += (A @ A.transpose(0, 2, 1)).sum(axis=0)
+                Ar[k][some] += (A @ (r[rows, part] * root[rows]).T[:, :, None])[:, :, 0].sum(axis=0)
         parts.append(seen)
         used.append(w)
     residual, weight = np.concatenate(parts), np.concatenate(used)
@@ -224,14 +215,30 @@ def triangle(
         if found is not None:
             r, J = found.rows(question.group_of(block), part.B, J, r)
         whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
-        R = _triangle(R, whitened.reshape(-1, count))
+        parts = [R]
+        for _, some, X in _by_limb(question, block, whitened):
+            flat = X.reshape(X.shape[0] * X.shape[1], len(some))
+            for start in range(0, len(flat), NUMBERS):
+                own = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+                parts.append(np.zeros((len(own), count)))
+                parts[-1][:, some] = own
+        R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return R
 
 
-def _triangle(R: np.ndarray, A: np.ndarray) -> np.ndarray:
-    """R of the QR of a triangle (<= k, k) and more numbers (n, k), some at a time: they stay in the cache."""
-    parts = [np.linalg.qr(A[start : start + NUMBERS], mode="r") for start in range(0, len(A), NUMBERS)]
-    return np.asarray(np.linalg.qr(np.vstack([R, *parts]), mode="r"))
+def _by_limb(
+    question: Problem, block: slice, J: np.ndarray, many: float = np.inf
+) -> Iterator[tuple[slice | np.ndarray, np.ndarray, np.ndarray]]:
+    """Rows of a stretch that take the same path, the columns of J that may move them, and these of J, (n, m, k).
+
+    Other limbs move none of them; where there is one path only, of more columns than so many those that are zero are left out.
+    """
+    limbs = question.limbs(block)
+    for rows in limbs:
+        own, some = J[rows], np.arange(J.shape[2])
+        if len(limbs) > 1 or len(some) > many:
+            some = np.flatnonzero(own.any(axis=(0, 1)))
+        yield rows, some, own[:, :, some] if len(some) < J.shape[2] else own
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:

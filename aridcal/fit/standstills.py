@@ -16,6 +16,7 @@ from aridcal.fit.least_squares import thin
 from aridcal.fit.problem import Problem
 from aridcal.fit.scatter import Scatter, full_rank
 from aridcal.inputs.dataset import Dataset
+from aridcal.inputs.repeats import by_appearance, first_alike, seen_before
 
 OF_ONE = 24
 """Rows of one standstill that are asked about at the most: an error that is common to them shows in these, and a covariance
@@ -38,15 +39,9 @@ def standstills(rows: Dataset) -> np.ndarray:
     """
     if rows.direct:
         return np.arange(len(rows))
-    import pandas as pd  # slow to load, and plain poses do not come here
-
     target = np.zeros(len(rows), dtype=str) if rows.labels.target is None else rows.labels.target
-    what = pd.DataFrame({f"q {k}": q for k, q in enumerate(rows.readings.T)})
-    what["visit"] = what.assign(
-        block=rows.labels.block, target=target, **{f"role {k}": labels for k, labels in enumerate(rows.labels.refers.T)}
-    ).pipe(lambda seen: seen.groupby(list(seen.columns), sort=False).cumcount())
-    number = what.groupby(list(what.columns), sort=False).ngroup().to_numpy()
-    return np.asarray(pd.factorize(number)[0])
+    same = first_alike([*rows.readings.T, rows.labels.block, target, *rows.labels.refers.T])
+    return by_appearance(first_alike([*rows.readings.T, seen_before(same)]))
 
 
 def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -78,15 +73,12 @@ def representative(asked: Problem, most: int) -> np.ndarray:
     data = asked.data
     if data.direct:
         return thin(asked.rows, most)
-    import pandas as pd  # as above
-
     rng, number, group = np.random.default_rng(0), standstills(data), asked.group_of(slice(None))
     kept = np.arange(len(data))
     if asked.groups is not None:
         kept = np.flatnonzero(_few_enough(clumps(number, group), group, asked.groups.unknown.sum(axis=1)))
-    mixed = pd.Series(number[kept]).sample(frac=1.0, random_state=0)
-    rank = mixed.groupby(mixed).cumcount().sort_index().to_numpy()
-    kept = kept[rank < OF_ONE]
+    mixed = np.random.RandomState(0).permutation(kept)
+    kept = np.sort(mixed[seen_before(number[mixed]) < OF_ONE])
     if len(kept) <= most:
         return kept
     own, seen = np.unique(number[kept]), np.unique(np.column_stack([number, group])[kept], axis=0)

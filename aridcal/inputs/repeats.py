@@ -193,6 +193,16 @@ def by_appearance(labels: np.ndarray) -> np.ndarray:
     return np.asarray(number[first[labels]])
 
 
+def seen_before(labels: np.ndarray) -> np.ndarray:
+    """How many rows before each have its label, shape (N,)."""
+    order = np.argsort(labels, kind="stable")
+    place = np.arange(len(order))
+    begins = np.diff(labels[order], prepend=-1) != 0  # labels are whole numbers from 0 on
+    count = np.empty_like(place)
+    count[order] = place - np.maximum.accumulate(np.where(begins, place, 0))
+    return count
+
+
 def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
     """For each row the number of the first that equals it in all columns, holes included, shape (N,).
 

@@ -280,7 +280,7 @@ class Model:
             R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, len(theta)))
             for arm, some in self._by_arm(len(rows), rows.route):
                 R[some], p[some], own = arm.model.jacobian(theta[arm.own], arm.rows(rows, some))
-                J[_at(some, arm.own)] = own
+                _put(J, some, arm.own, own)
             return R, p, J
         R, p, twists = self.motions(theta, rows)
         return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
@@ -303,7 +303,7 @@ class Model:
             J = np.zeros((len(rows), 6, len(self.robot.readings)))
             for arm, some in self._by_arm(len(rows), rows.route):
                 R[some], p[some], own = arm.model.by_readings(theta[arm.own], arm.rows(rows, some))
-                J[_at(some, arm.columns)] = own
+                _put(J, some, arm.columns, own)
             return R, p, J
         R, p, twists = self.motions(theta, rows)
         return R, p, twists[:, :, self._extended.own] @ self.robot.factors
@@ -506,6 +506,14 @@ class Model:
         pairs = [(arm, np.flatnonzero(route == k)) for k, arm in enumerate(self._arms)]
         return [(arm, some) for arm, some in pairs if len(some)]
 
+    def chains(self, rows: Rows) -> list[tuple[slice | np.ndarray, Model, np.ndarray, Rows]]:
+        """Of rows that take several paths, those of each: their numbers, its chain, this one's coefficients, and they themselves.
+
+        Nothing where the model is one chain.
+        """
+        every = self._by_arm(len(rows), rows.route) if self.divided else []
+        return [(some, arm.model, arm.own, arm.rows(rows, some)) for arm, some in every]
+
     @cached_property
     def _extended(self) -> ExtendedModel:
         world, tip = (tuple(placement for _, placement in frames) for frames in (self.world_base, self.tip_target))
@@ -575,9 +583,11 @@ class Model:
         return {slot: float(theta[k]) for k, (slot, c) in enumerate(pairs) if c.basis.constant}
 
 
-def _at(rows: slice | np.ndarray, columns: np.ndarray) -> tuple[slice | np.ndarray, ...]:
-    """What picks some rows and columns of an array of shape (N, 6, columns)."""
-    return (rows, slice(None), columns) if isinstance(rows, slice) else np.ix_(rows, np.arange(6), columns)
+def _put(into: np.ndarray, rows: slice | np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
+    """Put values of some rows and columns, shape (n, 6, k), into an array of zeros, whole rows at a time: it is twice as fast."""
+    whole = np.zeros((len(values), *into.shape[1:]))
+    whole[:, :, columns] = values
+    into[rows] = whole
 
 
 def _labels(station: np.ndarray | None, n: int) -> np.ndarray:

@@ -131,8 +131,9 @@ class _Sums:
         self.r, self.J, self.joints, self.place = r, J, joints, place
         self.free = J.shape[2] - 3 * joints
         self.part = np.random.default_rng(0).permutation(int(place.max()) + 1)[place] % FOLDS
-        self.H = np.array([np.einsum("nia,nib->ab", J[own], J[own]) for own in self._parts()])
-        self.b = np.array([np.einsum("nia,ni->a", J[own], r[own]) for own in self._parts()])
+        flat = [J[own].reshape(-1, J.shape[2]) for own in self._parts()]
+        self.H = np.array([A.T @ A for A in flat])
+        self.b = np.array([A.T @ r[own].ravel() for A, own in zip(flat, self._parts(), strict=True)])
         self.s = np.array([np.sum(r[own] ** 2) for own in self._parts()])
 
     def _parts(self) -> list[np.ndarray]:

@@ -89,7 +89,7 @@ def _between_its_rows(
         slots: Motions of what moves.
         before: How many rows come before each step, shape (k,).
     """
-    sees = np.any(model.G[state.used][:, :, list(slots)], axis=(1, 2))[np.argsort(values, kind="stable")]
+    sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
     passed = np.cumsum(sees)
     there = passed[before - 1]
     return np.asarray(sees[before] & (there >= SIDE) & (passed[-1] - there >= SIDE))

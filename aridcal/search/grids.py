@@ -12,7 +12,7 @@ At each row all but k of the functions are zero (4 of cubic B-splines), so that 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -127,6 +127,10 @@ class Grid:
         together = self._summed(one.functions.times(two.functions), weights)
         return together.reshape(len(self.slots), -1, two.functions.count)
 
+    def among(self, rows: np.ndarray) -> Grid:
+        """That of some rows, which it has alone from then on."""
+        return replace(self, rows=None) if rows is self.rows else _taken(self, rows, None)
+
     def part(self, low: int, high: int) -> Grid:
         """That of some rows on end."""
         if self.rows is None:
@@ -163,7 +167,7 @@ def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: L
     return Grid(slots, functions if rows is None else functions.at(rows), rows)
 
 
-def _taken(whole: Grid, some: np.ndarray, rows: np.ndarray) -> Grid:
+def _taken(whole: Grid, some: np.ndarray, rows: np.ndarray | None) -> Grid:
     """Some of the rows of a grid, by their places in it, and which of all rows those are."""
     return Grid(tuple(g[some] for g in whole.slots), whole.functions.at(some), rows)
 

@@ -234,19 +234,22 @@ def pairs(
     products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
     """
     used = state.used
-    G = model.G[used] / state.sigma[:, None]
+    G = model.G[used]
+    G /= state.sigma[:, None]
     weight = np.einsum("nms,nms->ns", G, G)
     pull = np.einsum("nms,nm->ns", G, state.residual[used] / state.sigma) / np.sqrt(np.maximum(weight, TINY))
     pull[:, weight.sum(0) <= 0.0] = 0.0
+    pull = np.ascontiguousarray(pull.T)  # slot by slot, for slots are what is picked
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     found = []
     waves = {of: np.polynomial.legendre.legvander(_centred(model.table[of][used]), DEGREE) for of in covariates}
     every = [of for of in combinations(covariates, 2) if robot.on_one_limb(*of)]
     for a, b in progress.over(every, "pairs"):
-        products = (waves[a][:, :, None] * waves[b][:, None]).reshape(len(pull), -1)
-        near = [(s, slot) for s, slot in frames if robot.on_one_limb(slot[0], a, b)]
-        along = np.linalg.qr(products)[0].T @ pull[:, [s for s, _ in near]]
-        explained = np.sum(along**2, axis=0).tolist()
+        products = (waves[a][:, :, None] * waves[b][:, None]).reshape(pull.shape[1], -1)
+        there = {where for where in dict(model.slots) if robot.on_one_limb(where, a, b)}
+        near = [(s, slot) for s, slot in frames if slot[0] in there]
+        along = pull[[s for s, _ in near]] @ np.linalg.qr(products)[0]
+        explained = np.sum(along**2, axis=1).tolist()
         found += [(e, (where, component, (a, b))) for e, (_, (where, component)) in zip(explained, near, strict=True)]
     found.sort(key=lambda pair: -pair[0])
     return [place for _, place in found[:LOUDEST]], len(found)

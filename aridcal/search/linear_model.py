@@ -119,11 +119,10 @@ class LinearModel:
             X = self._layout.flat(self.side_by_side(effects))
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
-        some = slice(None) if places is None else places
         values = self._values(bases, places)
         made = []
         for g in self._in_folds:
-            x = g[slots][:, some]
+            x = g[slots] if places is None else g[np.array(slots)[:, None], places]
             for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
                 x[:, :, k] *= values
             made.append(x.reshape(len(slots), -1).T)

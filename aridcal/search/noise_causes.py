@@ -330,7 +330,8 @@ def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) ->
     start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
     scatter = conditioned(_scatter(part, fit, active, causes, still), start)
     first = np.unique(still.number, return_index=True)[1]
-    orders = {False: neighbours(part.data), True: neighbours(part.data.select(first))}
+    near = neighbours(part.data)
+    orders = {False: near, True: near if len(first) == len(part.data) else neighbours(part.data.select(first))}
     return _Inquiry(tuple(causes), scatter, seen, channels, part.data, still, orders)
 
 

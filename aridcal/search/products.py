@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import chain, pairwise
 
 import numpy as np
@@ -36,6 +37,9 @@ GRID = 4
 KEPT = 2**25
 """Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
 needed."""
+
+LIMBS = 16
+"""Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few rows."""
 
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
@@ -165,7 +169,7 @@ class Products:
         self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
-        self._limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
+        self._of_limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
         self._local: dict[tuple[int, ...], Local | None] = {}
         self._moved: dict[int, bytes] = {}
         self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
@@ -212,7 +216,7 @@ class Products:
         self.assembled = None
         self._place.clear()
         self._moving.clear()
-        self._limbs.clear()
+        self._of_limbs.clear()
         self._kept = 0
 
     def _forget(self, effect: Effect) -> None:
@@ -223,8 +227,8 @@ class Products:
             del self._between[key]
         for name in [key for key in self._ordered if key[1] == effect]:
             del self._ordered[name]
-        for limb in [key for key in self._limbs if key[0] == effect]:
-            del self._limbs[limb]
+        for limb in [key for key in self._of_limbs if key[0] == effect]:
+            del self._of_limbs[limb]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
@@ -406,24 +410,34 @@ class Products:
     def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
         """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
         Y = self.columns(member)
-        if chunk.rows is None:
+        limbs = [chunk.rows] if chunk.rows is not None else self._limbs if chunk.grid is not None else []
+        if not limbs:
             return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
-        own, some = self._in_rows(member, chunk.rows)
         made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
-        if chunk.grid is not None:
-            made[:, :, some] = replace(chunk.grid, rows=None).across(own)
-        else:
-            made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
+        for rows in limbs:
+            own, some = self._in_rows(member, rows)
+            if chunk.grid is not None:
+                made[:, :, some] += chunk.grid.among(rows).across(own)
+            else:
+                made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
         return made
+
+    @cached_property
+    def _limbs(self) -> list[np.ndarray]:
+        """Places of the rows that the same constants move, limb by limb; none where these are all rows, or hardly any."""
+        by_row = [y.reshape(len(self.layout.order), -1, y.shape[1]) for y in self.columns(None)]
+        moved = np.packbits(np.any([y.any(axis=1) for y in by_row], axis=0), axis=1)
+        kinds, number = np.unique(moved, axis=0, return_inverse=True)
+        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
         """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
         key = member, rows.tobytes()
-        if key not in self._limbs:
+        if key not in self._of_limbs:
             here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
             some = np.flatnonzero(np.any([y.any(axis=0) for y in here], axis=0))
-            self._limbs[key] = tuple(y[:, some] for y in here), some
-        return self._limbs[key]
+            self._of_limbs[key] = tuple(y[:, some] for y in here), some
+        return self._of_limbs[key]
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:

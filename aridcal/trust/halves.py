@@ -314,7 +314,9 @@ def _sides(
     for way in ways:
         if way.of not in made:
             same = np.array([other.side for other in ways if other.of == way.of])
-            parts, number = np.unique(same, axis=1, return_inverse=True)
+            bits = np.arange(len(same))[::-1]
+            code, number = np.unique(2**bits @ same, return_inverse=True)
+            parts = code >> bits[:, None] & 1
             crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
             for limb in limbs:
                 each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}

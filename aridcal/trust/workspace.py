@@ -268,8 +268,10 @@ def target_covariance(
         rows: N configurations.
         tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
     """
-    found, local = np.empty((len(rows), 6, 6)), model.local
-    for some in few(len(rows)):
+    found, local, chains = np.empty((len(rows), 6, 6)), model.local, model.chains(rows)
+    for of, chain, own, those in chains:
+        found[of] = target_covariance(chain, theta[own], covariance[np.ix_(own, own)], those, tool)
+    for some in [] if chains else few(len(rows)):
         R, _, J = (model.jacobian if local is None else model.motions)(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
         found[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
