@@ -33,6 +33,15 @@ from aridcal.trust.workspace import Untold
 
 def calibration(outcome: Outcome) -> SavedModel:
     """The whole model, self-contained."""
+    m, final = outcome.measurements, outcome.stage("final").fit
+    tails = _tails(outcome, final)
+    saved = _without_wander(outcome, tails)
+    wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
+    return replace(saved, record=saved.record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
+
+
+def _without_wander(outcome: Outcome, tails: Sequence[Tails | None]) -> SavedModel:
+    """The same, but for what it asks of all rows once more, which takes as much memory as all this."""
     campaign, m = outcome.campaign, outcome.measurements
     used = ~m.test & ~outcome.outlier
     seen, final = seen_in(outcome), outcome.stage("final").fit
@@ -42,7 +51,6 @@ def calibration(outcome: Outcome) -> SavedModel:
         "derived_columns": [name for name in m.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
-    tails = _tails(outcome, final)
     scatter = _scatter(outcome, used, tails)
     if m.direct:
         record["scatter"] = scatter
@@ -64,7 +72,7 @@ def calibration(outcome: Outcome) -> SavedModel:
         position, rotation = float(outcome.noise[0]), float(outcome.noise[-1])
     else:
         position, rotation = outcome.at_target.noise(spread(outcome.noise, outcome.channels))
-    saved = SavedModel(
+    return SavedModel(
         _solved(outcome.stage("geometric").fit, target),
         solved,
         "pose" if target.turns else "position",
@@ -78,8 +86,6 @@ def calibration(outcome: Outcome) -> SavedModel:
         {name: ends(v) for name, v in recorded_in(outcome).items() if name not in seen},
         _rivals(outcome, final, target),
     )
-    wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
-    return replace(saved, record=record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
 
 
 def _rivals(outcome: Outcome, final: Fit, target: _Target) -> tuple[Rival, ...]:
