@@ -104,12 +104,9 @@ def hand_over(outcome: Outcome) -> Handover:
     first = leading(m)[0]
     part = columns(m.channels)[first]
 
-    # With things between, all rows tell where these are.
-    some, of_some = (m.select(judged), slice(None)) if m.direct else (m, judged)
-
     def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
         found = recentred(found)
-        left = (problem(found.model, some).residual(found.theta) if own is None else own.residual(some))[of_some]
+        left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
         apart = left - final.residual[judged]
         if not m.direct:
             apart = (_predicted(found, m) - outcome.at_target.places)[judged]
