@@ -161,15 +161,16 @@ def test_a_motion_that_rows_share_is_found_with_its_size_beside_unknown_markers(
 
 def test_of_many_rows_whole_standstills_are_asked_and_few_markers(tmp_path: Path) -> None:
     question, _ = asked(tmp_path, "markers")
-    rows, some = question.data, representative(question, 60)
+    rows, every = question.data, np.arange(len(question))
+    some = representative(question, every, 60)
     number = standstills(rows)
     assert question.groups is not None
     assert 60 <= len(some) <= 60 + OF_ONE
     assert np.array_equal(np.sort(np.flatnonzero(np.isin(number, number[some]))), some)
-    assert np.array_equal(some, representative(question, 60))
+    assert np.array_equal(some, representative(question, every, 60))
     # Twenty markers have 60 unknowns; of four times as many the most seen would stay.
     many = replace(question.groups, unknown=np.ones((len(question.groups.unknown), 12), dtype=bool))
-    kept = representative(replace(question, groups=many), len(rows))
+    kept = representative(replace(question, groups=many), every, len(rows))
     groups = np.unique(question.groups.row[kept])
     assert 12 * len(groups) == COLUMNS
     seen = np.bincount(question.groups.row)
@@ -178,7 +179,7 @@ def test_of_many_rows_whole_standstills_are_asked_and_few_markers(tmp_path: Path
 
 def test_of_many_points_whole_points_are_asked(tmp_path: Path) -> None:
     question, _ = asked(tmp_path, "point")
-    some = representative(question, 15)
+    some = representative(question, np.arange(len(question)), 15)
     assert question.groups is not None
     group = question.groups.row
     assert 15 <= len(some) < len(group) and np.array_equal(np.flatnonzero(np.isin(group, group[some])), some)

@@ -97,11 +97,8 @@ def fit_geometry(
         _refuse_strangers(unscaled(nominal.residual, train.relative), train, _targets(asked, nominal.theta, nominal))
         return Geometry(nominal, nominal)
     centred, _ = nominal.model.recentred(nominal.theta)
-    geometric = fit_identifiable(
-        problem(centred.with_coefficients(candidates), train, progress),
-        range(len(candidates)),
-        groups=_alike(candidates, len(frames)),
-    )
+    asked = problem(centred.with_coefficients(candidates), train, progress)
+    geometric = fit_identifiable(asked, range(len(candidates)), groups=_alike(candidates, len(frames)))
     left = unscaled(geometric.residual, train.relative)
     _refuse_strangers(left, train, _targets(asked, geometric.theta, geometric))
     return Geometry(nominal, with_restarts(geometric, train, progress))

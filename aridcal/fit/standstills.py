@@ -65,15 +65,25 @@ def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
     return clump
 
 
-def representative(asked: Problem, most: int) -> np.ndarray:
+def representative(every: Problem, among: np.ndarray, most: int) -> np.ndarray:
     """Numbers of the rows that are asked about: all, or of many a reproducible choice of whole standstills, or of whole groups.
 
     Of things that are joined to more others than can be carried as columns, those are asked about that most rows refer to.
+
+    Args:
+        every: A question about N rows.
+        among: Numbers of those that may be chosen.
+        most: Rows at the most.
     """
-    data = asked.data
-    if data.direct:
-        return thin(asked.rows, most)
-    rng, number, group = np.random.default_rng(0), standstills(data), asked.group_of(slice(None))
+    if every.data.direct:
+        return among[thin(every.rows[among], most)]
+    return among[_of_things(every.select(among), most)]
+
+
+def _of_things(asked: Problem, most: int) -> np.ndarray:
+    """The same of rows with things between, all of which may be chosen."""
+    data, rng, group = asked.data, np.random.default_rng(0), asked.group_of(slice(None))
+    number = standstills(data)
     kept = np.arange(len(data))
     if asked.groups is not None:
         kept = np.flatnonzero(_few_enough(clumps(number, group), group, asked.groups.unknown.sum(axis=1)))

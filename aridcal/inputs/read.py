@@ -141,7 +141,8 @@ def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) 
     """
     rows, chosen, noise = _read(asked, number, tables, alone)
     give_back()  # the table's cells, which are more than all that was made of them
-    rows = (used := rows.select(chosen)).with_repeats(configuration=blocks(used.readings, asked.kinds))
+    rows = rows.select(chosen)  # those as they stand in the table are let go
+    rows = rows.with_repeats(configuration=blocks(rows.readings, asked.kinds))
     return _Part(
         rows
         if rows.origin.split_given
@@ -208,8 +209,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     note_limits(source, q, asked.limits, kinds)
     stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
     if of_target:
-        measured = position if quaternion is None else np.hstack([position, quaternion])
-        stale, doubtful = stale_rows(source, q, kinds, measured, sequence)
+        parts = [position] if quaternion is None else [position, quaternion]
+        stale, doubtful = stale_rows(source, q, kinds, np.hstack(parts), sequence)
     if quaternion is not None:
         note_stale(source, stale)
     if of_target:

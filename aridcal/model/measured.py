@@ -419,7 +419,8 @@ def measured(model: Model, data: Dataset) -> Measured:
         MeasurementError: see :func:`rows_of_data`.
     """
     instruments, number = joined(model.instruments, data.instruments)
-    refers = np.full(data.labels.refers.shape, -1)
+    none = np.broadcast_to(-1, data.labels.refers.shape)  # of many rows of one tracker a number each would count
+    refers = none.copy() if number else none
     for b, block in enumerate(data.blocks):
         own = np.flatnonzero(data.labels.block == b)
         for k, role in enumerate(block.traits.roles):

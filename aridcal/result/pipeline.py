@@ -299,10 +299,11 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
     A group that stands far out is flagged row by row, and is asked about with the others.
     """
     some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST else ~outlier
-    own = np.flatnonzero(some)
     if rows.repeats.share < 1.0:
-        own = own[np.unique(held_together(rows.select(own)), return_index=True)[1]]
-    return groups(rows.select(own), residual[own], final)
+        some = np.flatnonzero(some)[np.unique(held_together(rows.select(some)), return_index=True)[1]]
+    elif some.all():  # of many rows a copy counts
+        return groups(rows, residual, final)
+    return groups(rows.select(some), residual[some], final)
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:

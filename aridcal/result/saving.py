@@ -34,9 +34,21 @@ from aridcal.trust.workspace import Untold
 
 def calibration(outcome: Outcome) -> SavedModel:
     """The whole model, self-contained."""
+    m, final = outcome.measurements, outcome.stage("final").fit
+    tails = _tails(outcome, final)
+    saved = _without_wander(outcome, tails)
+    wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
+    return replace(saved, record=saved.record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
+
+
+def _without_wander(outcome: Outcome, tails: Sequence[Tails | None]) -> SavedModel:
+    """The same, but for what it asks of all rows once more, which takes as much memory as all this."""
     campaign, m = outcome.campaign, outcome.measurements
     used = ~m.test & ~outcome.outlier
-    seen, final = seen_in(outcome), outcome.stage("final").fit
+    final, target = outcome.stage("final").fit, _saved_target(m, outcome.head is not None)
+    solved = _solved(final, target)
+    most = _largest_std(outcome, solved, target)
+    seen = seen_in(outcome)
     record = {
         "campaign": campaign.text,
         "data": {
@@ -48,29 +60,18 @@ def calibration(outcome: Outcome) -> SavedModel:
         "derived_columns": [name for name in m.origin.derived if name in seen],
         "versions": {"aridcal": __version__, "pinocchio": pin.__version__, "numpy": np.__version__},
     }
-    tails = _tails(outcome, final)
     scatter = _scatter(outcome, used, tails)
     if m.direct:
         record["scatter"] = scatter
     else:
         record["scatter_of_kinds"] = _of_kinds(m, scatter)
-    target = _saved_target(m, outcome.head is not None)
     if len(target.labels) > 1:
         record["frames_by"] = "both" if len(final.model.world_base) > 1 else "target"
-    solved = _solved(final, target)
-    fitted = m.fitted.select(~outcome.outlier[m.train])
-    if target.labels and m.labels.target is not None:
-        fitted = fitted.select(np.isin(m.labels.target[used], target.labels))
-    std = solved.std(fitted.readings, fitted.covariates, *_asked_by(solved.model, fitted.labels))
-    if not target.turns:  # that of a target whose rotation was never measured says nothing
-        std[:, 3:] = np.inf
-    if not target.moves:
-        std[:, :3] = np.inf
     if m.direct:
         position, rotation = float(outcome.noise[0]), float(outcome.noise[-1])
     else:
         position, rotation = outcome.at_target.noise(spread(outcome.noise, outcome.channels))
-    saved = SavedModel(
+    return SavedModel(
         _solved(outcome.stage("geometric").fit, target),
         solved,
         "pose" if target.turns else "position",
@@ -79,13 +80,25 @@ def calibration(outcome: Outcome) -> SavedModel:
         {name: ends(v) for name, v in seen.items()},
         record,
         {name: found for name, v in seen.items() if (found := holes(v))},
-        largest(std),
+        most,
         () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
         {name: ends(v) for name, v in recorded_in(outcome).items() if name not in seen},
         _rivals(outcome, final, target),
     )
-    wander = wanders(final, m.select(~outcome.outlier), final.estimated, tails, saved.span)
-    return replace(saved, record=record | ({"wander": [asdict(process) for process in wander]} if wander else {}))
+
+
+def _largest_std(outcome: Outcome, solved: SolvedModel, target: _Target) -> tuple[float, float]:
+    """Largest standard deviations of the target's place [m] and turn [rad] at the fitted rows; infinite of what none measured."""
+    m = outcome.measurements
+    fitted = m.fitted.select(~outcome.outlier[m.train])
+    if target.labels and fitted.labels.target is not None:
+        fitted = fitted.select(np.isin(fitted.labels.target, target.labels))
+    std = solved.std(fitted.readings, fitted.covariates, *_asked_by(solved.model, fitted.labels))
+    if not target.turns:  # that of a target whose rotation was never measured says nothing
+        std[:, 3:] = np.inf
+    if not target.moves:
+        std[:, :3] = np.inf
+    return largest(std)
 
 
 def _rivals(outcome: Outcome, final: Fit, target: _Target) -> tuple[Rival, ...]:
@@ -123,7 +136,8 @@ def _tails(outcome: Outcome, fit: Fit) -> list[Tails | None]:
     """Tails of each channel's noise, outliers among them: chance makes more of what it has made."""
     residual = problem(fit.model, outcome.measurements).scaled_residual(fit.theta)
     left = np.sqrt(max(fit.freedom, LEAST_FREEDOM) / fit.numbers)
-    squares = norms(residual / left, outcome.channels) ** 2
+    residual /= left  # in place: of many rows a copy counts
+    squares = norms(residual, outcome.channels) ** 2
     there = outcome.measurements.measures
     return [
         tails_of(own[seen & np.isfinite(own)], channel.size)

@@ -289,7 +289,7 @@ def noise_causes(
     """
     asked = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = train[representative(asked.select(train), ASKED if shapes else SEARCHED)]
+    some = representative(asked, train, ASKED if shapes else SEARCHED)
     if len(some) < FEWEST:
         return None
     part = asked.select(some)

@@ -18,7 +18,7 @@ import numpy as np
 
 from aridcal.fit.elimination import Eliminated, Groups, Known, Sums, solved
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.problem import agreed, problem
+from aridcal.fit.problem import Problem, agreed, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, spread
 from aridcal.showing import SILENT, Progress
@@ -107,6 +107,16 @@ class Columns:
         return left, known - np.einsum("tu,tud->td", self.known.by, y[self.known.group])
 
 
+def _asked(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
+    """Numbers of the rows that are linearised, and what is asked of them: bases of rows that are not would take much memory."""
+    model = fit.model.with_coefficients(()) if data.direct else fit.model
+    every = problem(model, data, progress)  # where things are between, all rows tell of these
+    chosen = thin(every.rows, most, every.groups)
+    chosen = chosen[fit.weight[chosen] > 0.0]
+    some = every if len(chosen) == len(every) else every.select(chosen)
+    return chosen, agreed(problem(fit.model, some.data, progress) if data.direct else some, fit.theta)
+
+
 def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: Progress = SILENT) -> Columns:
     """Linearise a fit about its solution.
 
@@ -117,11 +127,8 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         most: Rows at the most: of more, a reproducible choice.
         progress: Told how far the pass over them is.
     """
-    asked = problem(fit.model, data, progress)
     wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
-    chosen = thin(asked.rows, min(most, NUMBERS // wide), asked.groups)
-    chosen = chosen[fit.weight[chosen] > 0.0]
-    asked = agreed(asked if len(chosen) == len(asked) else asked.select(chosen), fit.theta)
+    chosen, asked = _asked(fit, data, min(most, NUMBERS // wide), progress)
     per = 1.0 / spread(sigma, asked.channels)
     root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
     shape, count = root.shape, len(fit.theta)
