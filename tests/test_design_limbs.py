@@ -52,7 +52,8 @@ def placed(q: pd.DataFrame, model: pin.Model) -> list[tuple[pin.Data, dict[str, 
 def columns(q: pd.DataFrame, side: str) -> np.ndarray:
     """Pinocchio's differences of a hand's target by the origins of its arm's joints, the base and the target, (n, 6, 48)."""
     own = two_arms.LEFT if side == "left" else two_arms.RIGHT
-    joints = ARMS[side]
+    joints, hand = ARMS[side], NOMINAL.getFrameId(f"{side}_hand")
+    readings = q.reindex(columns=list(NOMINAL.names)[1:], fill_value=0.0).to_numpy()
 
     def poses(change: dict[str, np.ndarray]) -> list[pin.SE3]:
         model = NOMINAL.copy()
@@ -61,7 +62,11 @@ def columns(q: pd.DataFrame, side: str) -> np.ndarray:
             model.jointPlacements[k] = model.jointPlacements[k] * pin.exp6(change.get(name, np.zeros(6)))
         base, target = (pin.exp6(change.get(name, np.zeros(6))) for name in ("base", "target"))
         hung = pin.SE3(np.eye(3), own) * target
-        return [base * at[f"{side}_hand"] * hung for _, at in placed(q, model)]
+        data, found = model.createData(), []
+        for row in readings:
+            pin.forwardKinematics(model, data, row)
+            found.append(base * pin.updateFramePlacement(model, data, hand) * hung)
+        return found
 
     now, found = poses({}), []
     for name in ("base", *joints, "target"):
