@@ -16,31 +16,38 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LONGEST = (
     "notebooks",
-    "other_readings",
     "instrument_faults",
-    "diagnose",
+    "other_readings",
     "detect",
+    "diagnose",
     "fleet",
+    "design_limbs",
     "trees",
+    "check",
     "view",
     "counting",
-    "check",
-    "joined",
-    "design_limbs",
     "shift",
     "merge",
     "noise_of_kinds",
+    "attacks",
+    "bad_inputs",
+    "joined",
     "simulate_trees",
     "recalibrate",
-    "places",
+    "command_line",
     "head_detections",
-    "determinism",
-    "instrument_starts",
-    "head_effects",
     "groups",
+    "instrument_results",
+    "design",
+    "head_effects",
+    "instrument_starts",
+    "tree_examples",
     "identify",
+    "noise_causes",
+    "cells",
+    "narrow_maps",
 )
-"""Test files that take longest."""
+"""Test files that take more than ten seconds, the longest first."""
 
 
 MEMORY, ROOM = Path("/dev/shm"), 4 << 30
