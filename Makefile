@@ -6,6 +6,8 @@ READY := .venv/.ready
 # One BLAS thread: the tests run in parallel already, and the arrays are too small to gain from more.
 export OMP_NUM_THREADS ?= 1
 export MPLBACKEND ?= Agg
+# Bytecode is kept whatever the surroundings say: tests start hundreds of processes, each of which would compile anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test print fuzz lint bench pictures docs lock matrix sbom wheel clean
 .DEFAULT_GOAL := demo

@@ -80,10 +80,13 @@ def met(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Readings near those given at which something (of readings and numbers of rows) is zero, and which rows got there."""
     q, rows = q.copy(), np.arange(len(q))
+    left = rows  # those not there yet
     for _ in range(15):
-        now = off(q, rows)
-        J = np.stack([(off(q + step, rows) - now) / 1e-6 for step in 1e-6 * np.eye(q.shape[1])], axis=2)
-        q = np.clip(q - np.einsum("njm,nm->nj", np.linalg.pinv(J, rcond=1e-3), now), -1.4, 1.4)
+        now = off(q[left], left)
+        away = np.linalg.norm(now, axis=1) > 1e-10
+        left, now = left[away], now[away]
+        J = np.stack([(off(q[left] + step, left) - now) / 1e-6 for step in 1e-6 * np.eye(q.shape[1])], axis=2)
+        q[left] = np.clip(q[left] - np.einsum("njm,nm->nj", np.linalg.pinv(J, rcond=1e-3), now), -1.4, 1.4)
     return q, np.linalg.norm(off(q, rows), axis=1) < 1e-9
 
 

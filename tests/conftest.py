@@ -14,6 +14,60 @@ import pytest
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+LONGEST = (
+    "notebooks",
+    "instrument_faults",
+    "other_readings",
+    "detect",
+    "diagnose",
+    "fleet",
+    "design_limbs",
+    "trees",
+    "check",
+    "view",
+    "counting",
+    "shift",
+    "merge",
+    "noise_of_kinds",
+    "attacks",
+    "bad_inputs",
+    "joined",
+    "simulate_trees",
+    "recalibrate",
+    "command_line",
+    "head_detections",
+    "groups",
+    "instrument_results",
+    "design",
+    "head_effects",
+    "instrument_starts",
+    "tree_examples",
+    "identify",
+    "noise_causes",
+    "cells",
+    "narrow_maps",
+)
+"""Test files that take more than ten seconds, the longest first."""
+
+
+MEMORY, ROOM = Path("/dev/shm"), 4 << 30
+"""A file system in memory, and how many bytes of it must be free: tests keep some hundred MB at a time."""
+
+
+def pytest_configure() -> None:
+    """Temporary folders are in memory where there is room: tests flush files to the disk many thousand times, 4 ms each."""
+    if MEMORY.is_dir() and os.access(MEMORY, os.W_OK):
+        found = os.statvfs(MEMORY)
+        if found.f_bavail * found.f_frsize > ROOM and not found.f_flag & os.ST_NOEXEC:
+            os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(MEMORY))
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """The longest files begin first: one that begins last would be waited for by all but one of the processes."""
+    order = {f"test_{name}.py": k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
+
+
 @pytest.fixture
 def shared_data() -> Path:
     """Folder of the public data sets, which are kept beside the repository."""

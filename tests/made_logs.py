@@ -49,7 +49,7 @@ def made(
     seed: int = 0,
     offset: float = 3.7,
     drift: float = 4e-5,
-    rates: tuple[float, float] = (125.0, 10.0),
+    rates: tuple[float, float] = (50.0, 10.0),
     noise: tuple[float, float] = (5e-5, 1e-4),
     wrong: float = 0.0,
     stops: np.ndarray | None = None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import itertools
 import os
 import re
 import signal
@@ -113,8 +114,17 @@ def test_what_nobody_reads_costs_a_command_neither_its_status_nor_a_word(words: 
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("redirected", [">&-", "<&- >&-", "<&- >&- 2>&-"])
-@pytest.mark.parametrize("words", [["doctor"], ["--version"], ["identify", "--help"]], ids=" ".join)
+CLOSED = [">&-", "<&- >&-", "<&- >&- 2>&-"]
+
+
+@pytest.mark.parametrize(
+    ("words", "redirected"),
+    [
+        *itertools.product([["--version"], ["identify", "--help"]], CLOSED),
+        (["doctor"], CLOSED[-1]),  # a whole calibration
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
 def test_closed_streams_are_as_if_they_led_nowhere(words: list[str], redirected: str) -> None:
     done = started(*words, redirected=redirected)
     assert (done.returncode, done.stderr) == (0, "")

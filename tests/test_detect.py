@@ -187,17 +187,18 @@ def shots(folder: Path, what: str, n: int = 8, seed: int = 1) -> list[np.ndarray
 
 
 @pytest.fixture(scope="module")
-def taken(tmp_path_factory) -> dict[str, Path]:
+def taken(tmp_path_factory) -> Path:
+    """Folders of photographs of every board."""
     home = tmp_path_factory.mktemp("taken")
     for what in BOARDS:
         shots(home / what, what, 12 if what == "charuco" else 5)
-    return {what: home / what for what in BOARDS}
+    return home
 
 
 @pytest.fixture
 def images(taken, tmp_path) -> Path:
     """Twelve photographs of a ChArUco board, to be spoilt."""
-    return Path(shutil.copytree(taken["charuco"], tmp_path / "images"))
+    return Path(shutil.copytree(taken / "charuco", tmp_path / "images"))
 
 
 def joints(path: Path, names: list[str]) -> Path:
@@ -280,18 +281,18 @@ def test_without_joints_the_table_has_the_images_alone_and_says_so(images, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("what", "arguments", "hint"),
+    ("images", "arguments", "hint"),
     [
-        ("charuco", ["--dictionary", "DICT_4X4_50"], "--board charuco --size 7x5 --dictionary DICT_5X5_50"),
-        ("charuco", ["--size", "9x6"], "--board charuco --size 7x5"),
+        ("charuco/shot_1.png", ["--dictionary", "DICT_4X4_50"], "--board charuco --size 7x5 --dictionary DICT_5X5_50"),
+        ("charuco/shot_1.png", ["--size", "9x6"], "--board charuco --size 7x5"),
         ("cube", [], "--board apriltag --dictionary DICT_APRILTAG_36h11"),
-        ("chessboard", [], "--board chessboard --size 8x5"),
-        ("chessboard", ["--board", "chessboard", "--size", "9x6"], "--board chessboard --size 8x5"),
+        ("chessboard/shot_1.png", [], "--board chessboard --size 8x5"),
+        ("chessboard/shot_1.png", ["--board", "chessboard", "--size", "9x6"], "--board chessboard --size 8x5"),
         ("circles", ["--board", "circles", "--size", "4x9"], "--board circles --size 4x11"),
     ],
 )
-def test_what_is_there_instead_is_named(what, arguments, hint, taken, tmp_path, capsys):
-    assert main([str(taken[what]), *arguments, "-o", str(tmp_path / "c.csv")]) == 2
+def test_what_is_there_instead_is_named(images, arguments, hint, taken, tmp_path, capsys):
+    assert main([str(taken / images), *arguments, "-o", str(tmp_path / "c.csv")]) == 2
     assert f"try `{hint}" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 

@@ -34,8 +34,8 @@ BY_ORDER = {"stale"}
 
 
 def attacked(campaign: Path) -> pd.DataFrame:
-    """A shipped table with everything that could depend on the order: a stale row, repeats, a copy, a hole, ties."""
-    table = robots.read_csv(campaign.parent / "measurements.csv")
+    """Of a shipped table 150 rows, with everything that could depend on the order: a stale row, repeats, a copy, a hole, ties."""
+    table = robots.read_csv(campaign.parent / "measurements.csv")[:150]
     pose = list("xyz") + ["qx", "qy", "qz", "qw"]
     joints = [name for name in table if name.startswith("joint")]
     table.loc[40, pose] = table.loc[39, pose]  # stale
@@ -50,6 +50,13 @@ def attacked(campaign: Path) -> pd.DataFrame:
 
 def permuted(table: pd.DataFrame, seed: int) -> pd.DataFrame:
     return table.iloc[np.random.default_rng(seed).permutation(len(table))].reset_index(drop=True)
+
+
+def arrays(rows: Dataset) -> dict[str, np.ndarray]:
+    """All that a data set says of each row, by its name."""
+    facts = (rows, rows.labels, rows.repeats, rows.origin)
+    every = {f.name: getattr(of, f.name) for of in facts for f in fields(of)}
+    return {name: value for name, value in every.items() if isinstance(value, np.ndarray)}
 
 
 def read(campaign: Path, table: AnyTable) -> Dataset:
@@ -98,10 +105,11 @@ def test_permuted_rows_are_read_as_the_same_data_to_the_last_bit(campaign: Path,
         and here.repeats.stale.sum() == 1
     )
     assert not np.array_equal(here.origin.line, there.origin.line)
-    for name in (f.name for f in fields(Dataset)):
-        a, b = getattr(here, name), getattr(there, name)
-        if isinstance(a, np.ndarray) and name not in PLACES | (BY_ORDER if "time" not in table else set()):
-            assert a.tobytes() == b.tobytes() if a.dtype != object else np.array_equal(a, b), name
+    one, other = arrays(here), arrays(there)
+    assert {"readings", "block", "station", "configuration", "stale", *PLACES} <= one.keys() == other.keys()
+    for name in one.keys() - PLACES - (BY_ORDER if "time" not in table else set()):
+        a, b = one[name], other[name]
+        assert a.tobytes() == b.tobytes() if a.dtype != object else np.array_equal(a, b), name
     assert here.covariates.keys() == there.covariates.keys()
     for name, values in here.covariates.items():
         np.testing.assert_array_equal(values, there.covariates[name])

@@ -6,7 +6,9 @@ Campaigns are simulated with the fault, read from their files and searched blind
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +45,7 @@ TRUTH = {
 WIRES = {"anchors": {"w1": {}, "w2": {}, "w3": {}}}
 PLATES = {"planes": {"table": {"normal": [0, 0, 1]}, "wall": {"normal": [1, 0, 0]}, "side": {"normal": [0, 1, 0]}}}
 EYE = {"fx": 700, "fy": 690, "cx": 330, "cy": 235, "width": 640, "height": 480}
+Searched = Callable[[str], tuple[Outcome, list[float]]]
 LASER = {"kind": "position", "name": "laser"}
 POSE = {"kind": "pose", "name": "laser"}
 
@@ -118,6 +121,12 @@ def found(folder: Path, case: Case, faulty: bool = True, **more: object) -> tupl
     return identify(load_campaign(folder / "out" / "campaign.yaml")), told
 
 
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory: pytest.TempPathFactory) -> Searched:
+    """The campaign of a case as it was found, and its truth: searched once, whoever asks."""
+    return cache(lambda name: found(tmp_path_factory.mktemp("case"), CASES[name]))
+
+
 def held_out(outcome: Outcome, stage: str) -> float:
     """RMS over the numbers of held-out rows in sigmas of their noise."""
     residual = outcome.stage(stage).residual[outcome.measurements.test]
@@ -126,10 +135,10 @@ def held_out(outcome: Outcome, stage: str) -> float:
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_a_fault_is_found_by_its_name_with_its_size(name: str, tmp_path: Path) -> None:
+def test_a_fault_is_found_by_its_name_with_its_size(name: str, searched: Searched) -> None:
     """Held-out rows are then as good as their noise, which they were not before."""
     case = CASES[name]
-    outcome, true = found(tmp_path, case)
+    outcome, true = searched(name)
     assert [(e.effect.kind, e.effect.where) for e in outcome.effects] == [(case.effect["kind"], case.effect["where"])]
     (effect,) = (e.effect for e in outcome.effects)
     fit = outcome.stages[-1].fit
@@ -264,9 +273,9 @@ def test_directions_along_a_plane_stay_where_they_are_as_it_tilts(normal: list[f
         assert np.abs(np.array(along_plane(tilted)) - directions).max() < 5e-3
 
 
-def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(tmp_path: Path) -> None:
+def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(searched: Searched) -> None:
     """Places on it are counted from where the fitted rows touched it, whichever rows are asked about."""
-    outcome, _ = found(tmp_path, CASES["a bent plate"])
+    outcome, _ = searched("a bent plate")
     fit, rows = outcome.stages[-1].fit, outcome.measurements
     whole = problem(fit.model, rows)
     k = np.flatnonzero([c.basis.of == ("table" + PLACE[0],) for c in fit.model.coefficients])
@@ -283,8 +292,8 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(tmp_path: Path) ->
     assert abs(table["table" + PLACE[0]][fitted].mean()) < 1e-12
 
 
-def test_what_was_knocked_is_told_in_words_and_a_joint_has_a_zero(tmp_path: Path) -> None:
-    outcome, _ = found(tmp_path, CASES["a plate that was knocked"])
+def test_what_was_knocked_is_told_in_words_and_a_joint_has_a_zero(searched: Searched) -> None:
+    outcome, _ = searched("a plate that was knocked")
     (effect,) = (e.effect for e in outcome.effects)
     assert what_moved(effect, outcome.measurements).startswith("wall moved between rows ")
     of_joint = Effect("shift", "elbow_joint", (replace(effect.coefficients[0], where="elbow_joint", component="axis"),))
@@ -336,14 +345,14 @@ def test_a_plate_of_few_places_cannot_be_declared_bent(tmp_path: Path) -> None:
         found(tmp_path, UNTOLD["few places on a bent plate"], effects=[stated])
 
 
-def test_constants_of_the_urdf_are_those_of_a_lens_as_found_and_a_sag_of_each_row_is_no_state(tmp_path: Path) -> None:
+def test_constants_of_the_urdf_are_those_of_a_lens_as_found_and_a_sag_of_each_row_is_no_state(
+    searched: Searched,
+) -> None:
     """What a thing always does goes into its state; what depends on the row cannot."""
-    for folder in ("lens", "wire"):
-        (tmp_path / folder).mkdir()
-    outcome, _ = found(tmp_path / "lens", CASES["a lens"])
+    outcome, _ = searched("a lens")
     test, (_, geometric, final) = outcome.measurements.test, outcome.stages
     left = problem(geometric.fit.model, outcome.measurements).residual(geometric.fit.theta)[test]
     rms = [float(np.sqrt(np.nanmean(r**2))) for r in (geometric.residual[test], left, final.residual[test])]
     assert rms[1] < 1.05 * rms[2] < rms[0]
-    outcome, _ = found(tmp_path / "wire", CASES["a wire's sag"])
+    outcome, _ = searched("a wire's sag")
     assert outcome.effects and with_things_moved(outcome.stages[1].fit, outcome.stages[2].fit) is None

@@ -260,7 +260,7 @@ def test_units_dates_angles_and_separators_are_found_as_init_finds_them(small: M
 
 
 def test_a_clock_of_unknown_unit_is_asked_for_and_the_answer_taken(small: Made) -> None:
-    joints, tracker = small.joints[::125], small.tracker
+    joints, tracker = small.joints[::50], small.tracker
     with pytest.raises(AridcalError, match=r"--set joints.time=NUMBER.: 1 = s .*; 2 = ms") as refused:
         join(joints, tracker)
     assert "measurements." not in str(refused.value)

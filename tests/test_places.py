@@ -17,7 +17,7 @@ from aridcal.effects.place_scatter import place_columns, place_scatter
 from aridcal.search.places import has_scatter, with_scatter
 from aridcal.search.state import solve_state
 
-PLACES, EACH, APART, FINE, ALIKE = 30, 4, 4e-3, 2e-5, 1.5e-4
+PLACES, EACH, APART, FINE, ALIKE = 30, 3, 4e-3, 2e-5, 1.5e-4
 
 
 def identified(folder: Path, alike: bool, each: int = EACH) -> aridcal.Calibration:

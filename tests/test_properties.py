@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -286,8 +287,9 @@ def test_csv_parquet_and_a_dataframe_give_the_same_data_to_the_bit(
     settings = robots.campaign(measurements={"file": "m.csv", "kind": "pose", "ignore": ["note"]})
     one, *others = (load(robot, settings, t) for t in (tmp_path / "m.csv", tmp_path / "m.parquet", table))
     for other in others:
-        for name in ("readings", "position", "rotation", "line", "order", "test", "configuration", "stale"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+        for name in ("readings", "position", "rotation", "test", "origin.line", "origin.order",
+                     "repeats.configuration", "repeats.stale"):  # fmt: skip
+            np.testing.assert_array_equal(attrgetter(name)(one), attrgetter(name)(other), err_msg=name)
         assert set(one.covariates) == set(other.covariates) == {"time", "temperature"}
         for name, values in one.covariates.items():
             np.testing.assert_array_equal(values, other.covariates[name])
@@ -317,8 +319,9 @@ def test_permuted_rows_of_any_kinds_are_the_same_data(tmp_path: Path, kinds: lis
             table.sample(frac=1, random_state=int(rng.integers(1000))).to_csv(tmp_path / f"{kind}.csv", index=False)
         read.append(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 1))
     one, two = read
-    for name in ("readings", "observed", "refers", "block", "position", "configuration", "test", "target"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name), err_msg=name)
+    for name in ("readings", "observed", "position", "test", "labels.refers", "labels.block", "labels.target",
+                 "repeats.configuration"):  # fmt: skip
+        np.testing.assert_array_equal(attrgetter(name)(one), attrgetter(name)(two), err_msg=name)
     for name, things in one.instruments.things.items():
         assert things.names == two.instruments.things[name].names
 

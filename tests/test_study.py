@@ -24,6 +24,7 @@ from aridcal.plant.studied import SCHEMA, Studied, known_runs, studied
 from aridcal.plant.trials import Case, Trial, half, load_study, sought, trials, tried
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.showing import SILENT
 from aridcal.study import main, study_run
@@ -169,25 +170,29 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_halves_keep_all_held_out_rows_and_half_of_the_others(campaign: Path) -> None:
-    sizes, kept = [], []
-    whole = identify(campaign).measurements
+@pytest.fixture(scope="module")
+def whole(campaign: Path) -> Outcome:
+    return identify(campaign)
+
+
+def test_halves_keep_all_held_out_rows_and_half_of_the_others(campaign: Path, whole: Outcome) -> None:
+    sizes, kept, every = [], [], whole.measurements
     for seed in range(2):
         rows = identify(campaign, choose=half(seed)).measurements
-        assert set(rows.origin.line[rows.test]) == set(whole.origin.line[whole.test])
+        assert set(rows.origin.line[rows.test]) == set(every.origin.line[every.test])
         sizes.append(int(rows.train.sum()))
         kept.append(frozenset(rows.origin.line[rows.train].tolist()))
-    assert sizes == [math.ceil(whole.train.sum() / 2)] * 2
+    assert sizes == [math.ceil(every.train.sum() / 2)] * 2
     assert len(set(kept)) == 2
 
 
-def test_constants_scatter_over_halves_as_the_whole_states(campaign: Path) -> None:
+def test_constants_scatter_over_halves_as_the_whole_states(campaign: Path, whole: Outcome) -> None:
     """Independent noise alone: over halves the scatter is that of a fit of all rows, within what 20 runs can tell."""
     job = load_study(campaign)
     assert isinstance(job, Campaign)
     runs = [tried(trial) for trial in trials(job).values()]
-    whole = {p["name"]: p["std"] for p in room.parameters(identify(campaign).stage("geometric").fit)}
-    ratios = [s.scatter / whole[s.name] for s in scatters(runs)]
+    stated = {p["name"]: p["std"] for p in room.parameters(whole.stage("geometric").fit)}
+    ratios = [s.scatter / stated[s.name] for s in scatters(runs)]
     assert len(ratios) >= 3
     assert 0.75 < float(np.sqrt(np.mean(np.square(ratios)))) < 1.3
     assert not any(s.name.startswith(("world_base", "tip_target")) for s in scatters(runs))

@@ -9,6 +9,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
 import yaml
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
@@ -64,20 +65,27 @@ def test_imports_are_found_wherever_they_are() -> None:
     assert used(source) == {"a", "c", "h", "i"}
 
 
-def test_every_dependency_is_used_and_everything_used_is_a_dependency() -> None:
-    imported = set().union(*(used(path.read_text("utf-8")) for path in (HOME / "aridcal").rglob("*.py")))
+@pytest.fixture(scope="module")
+def imports() -> dict[str, set[str]]:
+    """What each file of the package uses, by its path within it."""
+    home = HOME / "aridcal"
+    return {path.relative_to(home).as_posix(): used(path.read_text("utf-8")) for path in home.rglob("*.py")}
+
+
+def test_every_dependency_is_used_and_everything_used_is_a_dependency(imports: dict[str, set[str]]) -> None:
+    imported = set().union(*imports.values())
     imported = {PART_OF.get(name, name) for name in imported} - NOT_OURS - set(ON_REQUEST)
     assert not imported & set(BY_OTHERS)
     assert imported | set(BY_OTHERS) == {IMPORTED_AS.get(r.name, r.name) for r in NEEDED}
 
 
-def test_an_extra_is_imported_late_in_one_file_and_its_absence_says_how_to_get_it() -> None:
+def test_an_extra_is_imported_late_in_one_file_and_its_absence_says_how_to_get_it(
+    imports: dict[str, set[str]],
+) -> None:
     for module, (extra, home) in ON_REQUEST.items():
         assert module in {r.name.replace("-", "_") for r in EXTRAS[extra]}
-        paths = (HOME / "aridcal").rglob("*.py")
-        users = [path for path in paths if module in used(path.read_text("utf-8"))]
-        assert [path.relative_to(HOME / "aridcal").as_posix() for path in users] == [home]
-        source = users[0].read_text("utf-8")
+        assert [path for path, used_there in imports.items() if module in used_there] == [home]
+        source = (HOME / "aridcal" / home).read_text("utf-8")
         at_once = [node for node in ast.parse(source).body if isinstance(node, ast.Import | ast.ImportFrom)]
         assert module not in used("\n".join(map(ast.unparse, at_once)))
         assert f'pip install "aridcal[{extra}]"' in source

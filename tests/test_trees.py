@@ -367,7 +367,7 @@ def test_without_links_a_campaign_has_one_chain_as_before(tmp_path: Path) -> Non
 def test_without_a_tip_the_default_path_ends_at_the_first_link_that_is_named(way: str, tmp_path: Path) -> None:
     robot, told = two_arms.machine(), {}
     last = {"tracker": "left_hand", "joined": "right_hand"}[way]
-    path = two_arms.write(tmp_path, robot, (way,), readings(robot, 80), diagnosis={"enabled": False})
+    path = two_arms.write(tmp_path, robot, (way,), readings(robot, 40), diagnosis={"enabled": False})
     for tip in ({}, {"tip": last}):
         _with(path, {"robot": {"urdf": "two_arms.urdf", "base": "torso"} | tip})
         told[bool(tip)] = aridcal.calibrate(path).model.dump()

@@ -197,9 +197,11 @@ def grasps(robot: Machine, n: int, rng: np.random.Generator, sigma: float = SIGM
         while count < n // GRASPS:
             q = home + np.clip(rng.normal(0, 0.5, model.nq), -1, 1)
             slack = pin.SE3(Rotation.from_rotvec(rng.normal(0, sigma, 3)).as_matrix(), rng.normal(0, sigma, 3))
-            for _ in range(30):
+            for _ in range(12):
                 pin.framesForwardKinematics(model, data, q)
                 off = pin.log6(data.oMf[right].actInv(data.oMf[left] * held * slack)).vector
+                if np.abs(off).max() < 1e-12:
+                    break
                 J = pin.computeFrameJacobian(model, data, q, right)[:, own]
                 q[own] += np.clip(np.linalg.lstsq(J, off, rcond=1e-6)[0], -0.3, 0.3)
             if np.abs(off).max() < 1e-10 and np.abs(q).max() < 1.5:
