@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from aridcal.effects.effect import Coefficient
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates, targets_of
-from aridcal.planning.exchange import Choice, rms_sigma, updated, worst_sigma
+from aridcal.planning.exchange import Choice, rms_sigma, taken_away, worst_sigma
 from aridcal.planning.telling import KNOWN, LOOSE, Told
 
 COUNTS = 12
@@ -85,15 +86,16 @@ def coverage(
         region: Readings at the places, shape (R, columns).
     """
     counts = np.unique(np.linspace(1, len(order), COUNTS).round().astype(int)).tolist()
-    flat = rows.reshape(-1, rows.shape[2])
-    covariance = np.linalg.inv(choice.known + flat.T @ flat)
+    asked, own = replace(choice, rows=rows), slice(0, choice.solved_for)
+    M = asked.information(range(len(rows)))
+    covariance, solved = np.linalg.inv(M), np.linalg.inv(M[own, own])
     names, parts = suspects(known, of)
     loss = np.zeros((len(rows), len(names)))
     for k, F in enumerate(rows):
-        without = updated(covariance, F, -1.0)
+        rest = partial(asked.information, [other for other in range(len(rows)) if other != k])
+        without, _ = taken_away(asked, covariance, solved, F, rest)
         loss[k] = [_grown(without, covariance, part) for part in parts]
-    half = choice.target @ np.linalg.cholesky(covariance)
-    spread = np.linalg.eigvalsh(half @ half.transpose(0, 2, 1))[:, -1]
+    spread = np.linalg.eigvalsh(choice.variances(M))[:, -1]
     return Coverage(
         targets=targets_of(known, visited.readings, visited.first)[1],
         places=targets_of(known, region, np.zeros(len(region), dtype=int))[1],

@@ -16,9 +16,9 @@ chapter 3; one exchange at a time as in Cook and Nachtsheim 1980, doi:10.1080/00
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -35,6 +35,9 @@ other; and up to how many that is. More begin with the greedy one alone."""
 
 BETTER = 1e-6
 """Share by which an exchange must be better: rounding must not exchange for ever."""
+
+SOLE = 1e-9
+"""Share of what a row tells that is known without it, below which Woodbury's identity leaves nothing but rounding."""
 
 WORST_ROUNDS = 6
 """Times that the weights of the places are raised where the target is worst known."""
@@ -134,8 +137,8 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
         covariance, solved = np.linalg.inv(choice.information(chosen)), _of_solved(choice, chosen)
         settled = True
         for place, old in enumerate(chosen):
-            F, own = choice.rows[old], choice.rows[old, :, : choice.solved_for]
-            without, solved_without = updated(covariance, F, -1.0), updated(solved, own, -1.0)
+            rest = partial(choice.information, [c for c in chosen if c != old])
+            without, solved_without = taken_away(choice, covariance, solved, choice.rows[old], rest)
             gain = _worth(choice, without, solved_without)
             stays = gain[old]
             gain[[c for c in chosen if c != old]] = -np.inf
@@ -191,14 +194,29 @@ def worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: n
     moved = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D)
     seen = moved @ rows.transpose(0, 2, 1)
     asked = (moved.reshape(n * p, D) @ choice.averaged).reshape(n, p, D) @ moved.transpose(0, 2, 1)
-    return np.asarray(sign * np.einsum("nii->n", np.linalg.solve(np.eye(p) + sign * seen, asked)))
+    return np.asarray(sign * np.einsum("nii->n", np.linalg.solve(_beside(seen, sign), asked)))
 
 
 def _log_volume(rows: np.ndarray, covariance: np.ndarray, sign: float) -> np.ndarray:
     """Logarithm of det (1 + sign F Sigma F'), shape (n,)."""
     n, p, D = rows.shape
     seen = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D) @ rows.transpose(0, 2, 1)
-    return np.asarray(np.linalg.slogdet(np.eye(p) + sign * seen)[1])
+    return np.asarray(np.linalg.slogdet(_beside(seen, sign))[1])
+
+
+def _beside(seen: np.ndarray, sign: float) -> np.ndarray:
+    """1 + sign F Sigma F', shape (..., p, p), positive definite.
+
+    Of rows that are taken away the eigenvalues of F Sigma F' are below 1, by what is known without them. Of rows that alone tell
+    something that is next to nothing, and rounding may leave nothing at all: then :data:`SOLE` stands for it.
+    """
+    one = np.eye(seen.shape[-1])
+    if sign > 0.0 or not seen.size:
+        return one + sign * seen
+    values, V = np.linalg.eigh(seen)
+    if values.max() < 1.0 - SOLE:
+        return one - seen
+    return np.asarray((V * np.maximum(1.0 - values, SOLE)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
 def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
@@ -212,6 +230,25 @@ def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
     """Inverse of the information of those unknowns alone of which nothing is asked."""
     own = slice(0, choice.solved_for)
     return np.linalg.inv(choice.information(chosen)[own, own])
+
+
+def taken_away(
+    choice: Choice, covariance: np.ndarray, solved: np.ndarray, F: np.ndarray, rest: Callable[[], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Two covariances without some rows: of all unknowns, (D, D), and of those alone of which nothing is asked.
+
+    Args:
+        choice: Says which those are.
+        covariance: With the rows, shape (D, D).
+        solved: Likewise of these unknowns alone.
+        F: The rows, shape (p, D).
+        rest: Information without them, shape (D, D): asked for where they alone tell something.
+    """
+    own = slice(0, choice.solved_for)
+    if len(F) and np.linalg.eigvalsh(F @ covariance @ F.T)[-1] > 1.0 - SOLE:
+        M = rest()
+        return np.linalg.inv(M), np.linalg.inv(M[own, own])
+    return updated(covariance, F, -1.0), updated(solved, F[:, own], -1.0)
 
 
 def updated(covariance: np.ndarray, F: np.ndarray, sign: float) -> np.ndarray:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from aridcal.model.reaching import off_the_limits
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates, allowed, in_sight
-from aridcal.planning.exchange import Choice, updated, weights_of_the_worst, worth_of
+from aridcal.planning.exchange import Choice, taken_away, updated, weights_of_the_worst, worth_of
 from aridcal.planning.telling import Told, rows_of
 
 REACH = (0.15, 0.15, 0.08, 0.08, 0.04, 0.04, 0.02, 0.02)
@@ -68,7 +69,8 @@ def _stepped(
     M = replace(choice, rows=told).information(range(n))
     covariance, solved = np.linalg.inv(M), np.linalg.inv(M[own, own])
     for k in range(n):
-        without, solved_without = updated(covariance, told[k], -1.0), updated(solved, told[k][:, own], -1.0)
+        rest = partial(replace(choice, rows=told).information, [other for other in range(n) if other != k])
+        without, solved_without = taken_away(choice, covariance, solved, told[k], rest)
         places = np.arange(k * TRIED, (k + 1) * TRIED)
         gain = worth_of(choice, np.concatenate([told[k][None], rows[places]]), without, solved_without, 1.0)
         for best in np.argsort(-gain[1:], kind="stable").tolist():
