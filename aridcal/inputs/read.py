@@ -28,7 +28,7 @@ from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.routes import needed_columns, numbered, routes_of
-from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats
+from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats, untold
 from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
@@ -180,7 +180,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         target = np.full(len(table), settings.target)
     read_here = asked.require_pose and not of_target
     observed = _observed(source) if read_here else position
-    refers = _refers(source, asked, alone) if read_here else np.zeros((len(table), ROLES), dtype=str)
+    nothing = untold(len(table))
+    refers = _refers(source, asked, alone) if read_here else nothing.refers
     if read_here:
         camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
@@ -226,7 +227,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         covariates=covariates,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
         labels=Labels(
-            block=np.zeros(len(table), dtype=int),
+            block=nothing.block,
             refers=refers,
             station=station,
             target=target if asked.require_pose else None,

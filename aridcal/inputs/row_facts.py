@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -85,14 +85,23 @@ class Repeats:
 
 
 def untold(rows: int) -> Labels:
-    """Labels of rows of one block that refer to nothing."""
-    return Labels(np.zeros(rows, dtype=int), np.zeros((rows, ROLES), dtype=str))
+    """Labels of rows of one block that refer to nothing: they stand in memory once, for of a million rows they would count."""
+    return Labels(np.broadcast_to(0, rows), np.broadcast_to("", (rows, ROLES)))
 
 
 def selected(facts: Facts, rows: np.ndarray) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
     of_all = {f.name: getattr(facts, f.name) for f in fields(facts)}
-    return replace(facts, **{name: value[rows] for name, value in of_all.items() if isinstance(value, np.ndarray)})
+    chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in of_all.items() if isinstance(v, np.ndarray)}
+    return replace(facts, **chosen)
+
+
+def _cut(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Some rows of an array; of one whose rows are all one in memory those stay it."""
+    if len(values) and values.strides[0] == 0:
+        count = np.count_nonzero(rows) if np.asarray(rows).dtype == bool else len(rows)
+        return np.broadcast_to(values[0], (int(count), *values.shape[1:]))
+    return np.asarray(values[rows])
 
 
 def labels_together(labels: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
