@@ -89,16 +89,16 @@ def untold(rows: int) -> Labels:
     return Labels(np.broadcast_to(0, rows), np.broadcast_to("", (rows, ROLES)))
 
 
-def selected(facts: Facts, rows: np.ndarray) -> Facts:
+def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
     of_all = {f.name: getattr(facts, f.name) for f in fields(facts)}
     chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in of_all.items() if isinstance(v, np.ndarray)}
     return replace(facts, **chosen)
 
 
-def _cut(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
     """Some rows of an array; of one whose rows are all one in memory those stay it."""
-    if len(values) and values.strides[0] == 0:
+    if len(values) and values.strides[0] == 0 and not isinstance(rows, slice):
         count = np.count_nonzero(rows) if np.asarray(rows).dtype == bool else len(rows)
         return np.broadcast_to(values[0], (int(count), *values.shape[1:]))
     return np.asarray(values[rows])

@@ -15,12 +15,12 @@ SECTION = re.compile(r"(?:\A(?:\xef\xbb\xbf)?|(?<=[\r\n]))[ \t]*/(PROG|ATTR|APPL
 
 NAME = re.compile(r"\s*(\S+)")
 
-INSTRUCTION = re.compile(r"\s*+(?:\d++[ \t]*+:|:)?+[ \t]*+((?:'[^'\n]*'|[^;])*+)")
+INSTRUCTION = re.compile(r"\s*+(?:\d++[ \t]*+:|:)?[ \t]*+((?:'[^'\n]*'|[^;])*)")
 """The number of its line, and an instruction, which may be empty."""
 
 REMARKS = ("!", "//", "--")
 
-REMARK = re.compile(r"(?:!|//|--)[^;\n]*(?:\n(?![ \t]*\d+[ \t]*:)[^;\n]*)*+;?")
+REMARK = re.compile(r"(?:!|//|--)[^;\n]*(?:\n(?![ \t]*\d+[ \t]*:)[^;\n]*)*;?")
 """A remark, to its semicolon or to the next line with a number. What is remarked out is not carried out."""
 
 NUMBERED = re.compile(r"\n[ \t]*\d+[ \t]*:")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from aridcal.programs.gcode.table import AXES
 from aridcal.programs.text import Number
 
-PLAIN = re.compile(r"(?:[ \t]*+[A-Za-z][ \t]*+[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++))*+[ \t]*+")
+PLAIN = re.compile(r"(?:[ \t]*+[A-Za-z][ \t]*+[-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++))*[ \t]*+")
 """A line of letters with plain numbers. G-code has no exponents: E behind a number is the next word."""
 
 WORD = re.compile(r"([A-Za-z])[ \t]*+([-+]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++))")

@@ -17,7 +17,7 @@ _NAME = r"[a-z_]\w*+(?:\[\])?"
 
 _PLAIN = (
     r"\{[ \t]*+(?:(?:e6pos|pos|frame|e6axis|axis|fdat|pdat|ldat)[ \t]*+:[ \t]*+)?"
-    rf"{_NAME}[ \t]++{_VALUE}[ \t]*+(?:,[ \t]*+{_NAME}[ \t]++{_VALUE}[ \t]*+)*+\}}"
+    rf"{_NAME}[ \t]++{_VALUE}[ \t]*+(?:,[ \t]*+{_NAME}[ \t]++{_VALUE}[ \t]*+)*\}}"
 )
 """An aggregate of plain values, which is what most lines of long programs have."""
 

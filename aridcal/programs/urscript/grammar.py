@@ -12,7 +12,7 @@ from aridcal.programs.text import Code, blanked
 from aridcal.programs.urscript.table import MOVES, RULES
 from aridcal.programs.walk import DEEPEST, Body, Call, Choice, Leave, Node, Repeat, Step
 
-_NUMBER = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
+_NUMBER = r"(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?"
 
 _SPACE = r"[ \t\r\n]*+"
 
@@ -20,13 +20,13 @@ _NAME = r"[A-Za-z_\x80-\xff][\w\x80-\xff]*+"
 
 _GAP = r"[ \t]*+"
 
-_LIST = rf"\[{_SPACE}(?:[-+]?+{_NUMBER}{_SPACE},{_SPACE})*+[-+]?+{_NUMBER}{_SPACE}\]"
+_LIST = rf"\[{_SPACE}(?:[-+]?+{_NUMBER}{_SPACE},{_SPACE})*[-+]?+{_NUMBER}{_SPACE}\]"
 
 _GOAL = rf"(?:pose_trans\({_GAP}{_NAME}{_GAP},{_GAP}p{_LIST}{_GAP}\)|p?+{_LIST})"
 
-_ARGUMENT = rf"(?:(?P<keyword>{_NAME}){_GAP}={_GAP})?+(?:(?P<word>{_NAME})|(?P<value>{_NUMBER}(?![\w.])))"
+_ARGUMENT = rf"(?:(?P<keyword>{_NAME}){_GAP}={_GAP})?(?:(?P<word>{_NAME})|(?P<value>{_NUMBER}(?![\w.])))"
 
-_ARGUMENTS = rf"(?:{_GAP},{_GAP}{re.sub('[?]P<[a-z]+>', '?:', _ARGUMENT)})*+"
+_ARGUMENTS = rf"(?:{_GAP},{_GAP}{re.sub('[?]P<[a-z]+>', '?:', _ARGUMENT)})*"
 
 TOKENS = re.compile(
     rf"""
