@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import textwrap
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -17,6 +19,7 @@ from robot_programs import error, sent
 from robots import ur10
 from scipy.spatial.transform import Rotation
 
+import aridcal
 from aridcal.compensate import main as compensate
 from aridcal.errors import AridcalError, CampaignError
 from aridcal.fit.constants import constants
@@ -339,3 +342,16 @@ def test_a_wrong_file_of_frames_is_answered_with_what_one_looks_like(tmp_path: P
     with pytest.raises(CampaignError) as absent:
         read_frames(tmp_path / "nowhere.yaml")
     assert "for instance" not in str(absent.value)
+
+
+def test_no_pattern_repeats_a_group_possessively() -> None:
+    """Python's `re` matches such groups wrongly before 3.11.5 (gh-106052), Debian's own 3.11.2 among them."""
+    repeated = re.compile(r"(?<!\\)\)(?:[*+?]|\{[\d,]+\})\+")
+    files = sorted(Path(aridcal.__file__).parent.rglob("*.py"))
+    patterns = [
+        (file.name, node.value)
+        for file in files
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and repeated.search(node.value)
+    ]
+    assert len(files) > 300 and patterns == []
