@@ -33,7 +33,7 @@ TOKENS = re.compile(
     (?P<blank>[ \t]++|\r(?=\n)|\#[^\n]*+)
   | (?P<line>[\n;])
   | (?P<move>(?:{"|".join(MOVES)})\({_GOAL}{_ARGUMENTS}{_GAP}\))
-  | (?P<list>(?:p[ \t]*+)?+{_LIST})
+  | (?P<list>(?:p[ \t]*+)?{_LIST})
   | (?P<pose>p[ \t]*+\[)
   | (?P<name>{_NAME})
   | (?P<number>(?:0[xX][0-9a-fA-F]++|{_NUMBER})(?![\w.]))
