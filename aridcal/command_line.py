@@ -9,7 +9,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.text import Text
@@ -18,9 +18,6 @@ from aridcal.errors import AridcalError, printable_lines
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.showing import Screen, one_thread, unheard
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
-
-if TYPE_CHECKING:
-    from _typeshed import SupportsWrite
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
 PIPED = 200
@@ -76,7 +73,7 @@ class CommandParser(argparse.ArgumentParser):
         """Print what is wrong and exit with status 2."""
         super().error(f"{printable_lines(message)}\n`{self.prog} --help` has an example")
 
-    def print_help(self, file: SupportsWrite[str] | None = None) -> None:
+    def print_help(self, file: Any = None) -> None:
         """Print the help; where nobody reads it that is no error (Python's own parser has known that since 3.11.4)."""
         with suppress(BrokenPipeError):
             super().print_help(file)
