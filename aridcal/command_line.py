@@ -74,7 +74,7 @@ class CommandParser(argparse.ArgumentParser):
         super().error(f"{printable_lines(message)}\n`{self.prog} --help` has an example")
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; where nobody reads it that is no error (Python's own parser has known that since 3.11.4)."""
+        """Print the help; where nobody reads it that is no error, as it is to the parser of Python 3.11.2."""
         with suppress(BrokenPipeError):
             super().print_help(file)
 

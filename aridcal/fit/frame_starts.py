@@ -50,8 +50,17 @@ class FrameStart:
 
 
 @dataclass(frozen=True)
-class _Data:
-    """T_base_tip (R, p), measured (M, m), and the frame that each row belongs to."""
+class Posed:
+    """Rows that tell where the target is, and the frames that each belongs to.
+
+    Attributes:
+        R: Nominal T_base_tip, shape (N, 3, 3).
+        p: Its translation, shape (N, 3), [m].
+        M: Measured rotation of the target in the world, shape (N, 3, 3), or None.
+        m: Its measured position, shape (N, 3), [m].
+        world: Number of each row's world_base frame, shape (N,).
+        tip: Number of each row's tip_target frame, shape (N,).
+    """
 
     R: np.ndarray
     p: np.ndarray
@@ -62,12 +71,7 @@ class _Data:
 
 
 def start_frames(
-    rotation: np.ndarray,
-    position: np.ndarray,
-    measured_position: np.ndarray,
-    measured_rotation: np.ndarray | None,
-    world: np.ndarray,
-    tip: np.ndarray,
+    data: Posed,
     known_world: tuple[pin.SE3, ...] | None,
     known_tip: tuple[pin.SE3, ...] | None,
     hint_tip: tuple[pin.SE3, ...],
@@ -75,12 +79,7 @@ def start_frames(
     """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
 
     Args:
-        rotation: Nominal T_base_tip, shape (N, 3, 3).
-        position: Its translation, shape (N, 3), [m].
-        measured_position: Of the target in the world, shape (N, 3), [m].
-        measured_rotation: Likewise, shape (N, 3, 3), or None.
-        world: Number of each row's world_base frame, shape (N,).
-        tip: Number of each row's tip_target frame, shape (N,).
+        data: N rows.
         known_world: The frames, where they are not to be identified.
         known_tip: Likewise.
         hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
@@ -88,55 +87,47 @@ def start_frames(
     """
     if known_world is not None and known_tip is not None:
         return [FrameStart(known_world, known_tip)]
-    M = measured_rotation
-    data = _Data(rotation, position, M, measured_position, world, tip)
     if known_world is not None:
         return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
     if known_tip is not None:
         t = np.array([frame.translation for frame in known_tip])
         turned = None
-        if M is not None:
+        if data.M is not None:
             turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
         return [FrameStart(_kabsch(data, t, turned), known_tip)]
     hint = np.array([frame.translation for frame in hint_tip])
     found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
-    found += _kronecker(data, hint) if M is not None else []
+    found += _kronecker(data, hint) if data.M is not None else []
     return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
 
 
 def best_start(
-    rotation: np.ndarray,
-    position: np.ndarray,
-    measured_position: np.ndarray,
-    measured_rotation: np.ndarray | None,
-    world: np.ndarray,
-    tip: np.ndarray,
+    data: Posed,
     known_world: tuple[pin.SE3, ...] | None,
     known_tip: tuple[pin.SE3, ...] | None,
     hint_tip: tuple[pin.SE3, ...],
 ) -> FrameStart:
-    """That of the starts with the smallest misfit; for what comes in see :func:`start_frames`."""
-    measured = measured_position, measured_rotation
-    channels = kind_of_places(measured_rotation).channels
+    """That of the starts with the smallest misfit; see :func:`start_frames`."""
+    channels = kind_of_places(data.M).channels
 
     def left(start: FrameStart) -> float:
-        X = np.array([f.homogeneous for f in start.world_base])[world]
-        Y = np.array([f.homogeneous for f in start.tip_target])[tip]
-        T = np.broadcast_to(np.eye(4), (len(position), 4, 4)).copy()
-        T[:, :3, :3], T[:, :3, 3] = rotation, position
+        X = np.array([f.homogeneous for f in start.world_base])[data.world]
+        Y = np.array([f.homogeneous for f in start.tip_target])[data.tip]
+        T = np.broadcast_to(np.eye(4), (len(data.p), 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = data.R, data.p
         T = X @ T @ Y
-        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], *measured), channels)
+        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], data.m, data.M), channels)
         return float(sigma[0] + TURN_COUNTS * sigma[1:].sum())
 
-    return min(start_frames(rotation, position, *measured, world, tip, known_world, known_tip, hint_tip), key=left)
+    return min(start_frames(data, known_world, known_tip, hint_tip), key=left)
 
 
-def _points(data: _Data, t: np.ndarray) -> np.ndarray:
+def _points(data: Posed, t: np.ndarray) -> np.ndarray:
     """Target in the base frame for target translations t, shape (tips, 3)."""
     return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
 
 
-def _columns(data: _Data, tips: int) -> np.ndarray:
+def _columns(data: Posed, tips: int) -> np.ndarray:
     """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
     columns = np.zeros((len(data.p), 3, 3 * tips))
     for k in range(tips):
@@ -152,7 +143,7 @@ def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
     return out
 
 
-def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
+def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
     """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
 
     Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
@@ -178,7 +169,7 @@ def _levers(data: _Data, hint: np.ndarray) -> list[np.ndarray]:
     return [t.reshape(tips, 3) for t in slid]
 
 
-def _lever_cost(data: _Data, tips: int) -> Cost:
+def _lever_cost(data: Posed, tips: int) -> Cost:
     r"""Misfit of target translations t and its slope, the base following by Kabsch, in units of the points' spread.
 
     .. math:: |m|^2 + |c_0 + C t|^2 - 2 \sum_w (\sigma_1 + \sigma_2 \pm \sigma_3)(H_{0w} + H_{1w} t)
@@ -255,7 +246,7 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
 
 
-def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
+def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
     """T_world_base of each world frame for known target translations; measured rotations help where there are any.
 
     Args:
@@ -277,7 +268,7 @@ def _kabsch(data: _Data, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.
     return tuple(frames)
 
 
-def _kronecker(data: _Data, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...], np.ndarray]]:
+def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...], np.ndarray]]:
     """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
     assert data.M is not None
     found = []
@@ -293,7 +284,7 @@ def _kronecker(data: _Data, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...],
     return found
 
 
-def _translations(data: _Data, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[pin.SE3, ...], np.ndarray]:
+def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[pin.SE3, ...], np.ndarray]:
     """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
     tips, n = len(hint), len(data.p)
     turn = RX[data.world]
@@ -312,7 +303,7 @@ def _translations(data: _Data, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[
     return world_base, hint + x.reshape(tips, 3)
 
 
-def _seen_from(data: _Data, world_base: tuple[pin.SE3, ...], tips: int) -> np.ndarray:
+def _seen_from(data: Posed, world_base: tuple[pin.SE3, ...], tips: int) -> np.ndarray:
     """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
@@ -323,7 +314,7 @@ def _seen_from(data: _Data, world_base: tuple[pin.SE3, ...], tips: int) -> np.nd
     return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
 
 
-def _with_target(data: _Data, world_base: tuple[pin.SE3, ...], t: np.ndarray, hint: tuple[pin.SE3, ...]) -> FrameStart:
+def _with_target(data: Posed, world_base: tuple[pin.SE3, ...], t: np.ndarray, hint: tuple[pin.SE3, ...]) -> FrameStart:
     """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []

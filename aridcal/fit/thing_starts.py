@@ -10,7 +10,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from aridcal.errors import MeasurementError, NotIdentifiable
-from aridcal.fit.frame_starts import best_start
+from aridcal.fit.frame_starts import Posed, best_start
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.inclination import DOWN
@@ -189,12 +189,7 @@ def _from_poses(
     targets = {int(k): found.tip_target.get(int(k)) for k in numbers}
     known = tuple(T for T in targets.values() if T is not None)
     best = best_start(
-        R[rows],
-        p[rows],
-        data.position[rows],
-        M,
-        station[rows],
-        own,
+        Posed(R[rows], p[rows], M, data.position[rows], station[rows], own),
         None if world is None else found.world_base,
         known if len(known) == len(targets) else None,
         tuple(hints[k] for k in targets),

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.errors import MeasurementError
-from aridcal.fit.frame_starts import start_frames
+from aridcal.fit.frame_starts import Posed, start_frames
 from aridcal.logs.clocks import Clocks
 from aridcal.logs.log import Log
 from aridcal.logs.pairs import Pairs, within
@@ -117,7 +117,7 @@ def _fitted(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
     one = np.zeros(len(m), dtype=int)
     tried = [
         Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
-        for start in start_frames(R, p, m, None, one, one, None, None, (pin.SE3.Identity(),))
+        for start in start_frames(Posed(R, p, None, m, one, one), None, None, (pin.SE3.Identity(),))
     ]
     return min(tried, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
 
