@@ -113,7 +113,7 @@ def campaign_of(robot: Robot, which: str, kind: str = "pose", known: tuple[pin.S
 
 
 def solve(campaign: Campaign, robot: Robot, rows: Dataset) -> Fit:
-    return fit_geometry(campaign, robot, rows, ()).geometric
+    return fit_geometry(campaign.question, robot, rows, ()).geometric
 
 
 def real(console: Console) -> None:
@@ -204,8 +204,8 @@ def predictions(console: Console, count: int = 150) -> None:
         what = PREDICTED[k % len(PREDICTED)]
         case = draw_case(PREDICTED_SEED + k, what)
         robot, rows = case.truth.robot, case.rows
-        geometry = fit_constants(case.campaign, robot, rows, ())
-        arm = calibrated_arm(case.campaign, robot, rows, (), geometry, SILENT)
+        geometry = fit_constants(case.campaign.question, robot, rows, ())
+        arm = calibrated_arm(case.campaign.question, robot, rows, (), geometry, SILENT)
         final, q = arm.diagnosed.fit, case.query.readings
         seen = case.train.readings
         unseen = case.query.select(((q >= seen.min(axis=0)) & (q <= seen.max(axis=0))).all(axis=1))

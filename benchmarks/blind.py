@@ -115,8 +115,8 @@ class Score:
 def analyse(case: Case) -> tuple[CalibratedArm, str]:
     """Do with a case what ``aridcal identify`` does: constants, search, verdict."""
     rows = case.rows
-    robot, geometry = case.truth.robot, fit_constants(case.campaign, case.truth.robot, rows, ())
-    arm = calibrated_arm(case.campaign, robot, rows, (), geometry, SILENT)
+    robot, geometry = case.truth.robot, fit_constants(case.campaign.question, case.truth.robot, rows, ())
+    arm = calibrated_arm(case.campaign.question, robot, rows, (), geometry, SILENT)
     return arm, judged(arm).verdict.word
 
 

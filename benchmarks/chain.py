@@ -141,8 +141,8 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     rows = dataset(robot.readings, robot.kinds, q[kept], *nowhere)
     began = time.perf_counter()
     rows = shot_rows(rows, found, start, asked)
-    geometry = fit_constants(asked, robot, rows, ())
-    arm = calibrated_arm(asked, robot, rows, (), geometry, SILENT)
+    geometry = fit_constants(asked.question, robot, rows, ())
+    arm = calibrated_arm(asked.question, robot, rows, (), geometry, SILENT)
     seconds = time.perf_counter() - began
     low, high = q.min(axis=0), q.max(axis=0)
     anywhere = rng.uniform(low, high, (QUERIES, len(low)))

@@ -81,7 +81,7 @@ def of_instrument(make: Callable[[gauges.Arm], gauges.Measured]) -> Callable[[in
     with tempfile.TemporaryDirectory() as folder:
         campaign = gauges.campaign(Path(folder), arm, gauges.rows(arm, exact))
         rows = gauges.rows(arm, noisy(arm, exact, np.random.default_rng(0)))
-        first = fit_geometry(campaign, arm.robot, rows, ()).geometric
+        first = fit_geometry(campaign.question, arm.robot, rows, ()).geometric
 
     def run(seed: int) -> float:
         rows = gauges.rows(arm, noisy(arm, exact, np.random.default_rng(seed)))

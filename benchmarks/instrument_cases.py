@@ -193,7 +193,7 @@ def rows_of(way: str) -> int:
 
 def geometric(one: Made) -> Fit:
     """Constants of the training rows."""
-    return fit_geometry(one.campaign, one.robot, one.train, ()).geometric
+    return fit_geometry(one.campaign.question, one.robot, one.train, ()).geometric
 
 
 def error_of(found: Fit, new: Made) -> float:

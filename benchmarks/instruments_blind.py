@@ -53,7 +53,7 @@ def causes(kind: str | None, runs: int, rows: int, seed: int) -> None:
             done += 1
             coarse = replace(one.rows, readings=np.round(one.rows.readings / step) * step)
             for data in (one.rows, coarse):
-                geometry = fit_constants(one.campaign, robot, data, ())
+                geometry = fit_constants(one.campaign.question, robot, data, ())
                 found = noise_causes(geometry.geometric, (), data)
                 further = () if found is None else found.further
                 clean, named = clean + bool(further and data is one.rows), named + bool(further and data is coarse)
@@ -132,8 +132,8 @@ def _said(effect: Effect) -> str:
 
 def _searched(one: Made) -> Any:
     """Do what ``aridcal identify`` does: constants and search."""
-    geometry = fit_constants(one.campaign, one.robot, one.rows, ())
-    return calibrated_arm(one.campaign, one.robot, one.rows, (), geometry, SILENT)
+    geometry = fit_constants(one.campaign.question, one.robot, one.rows, ())
+    return calibrated_arm(one.campaign.question, one.robot, one.rows, (), geometry, SILENT)
 
 
 def _with_effect(way: str, seed: int, n: int, rng: np.random.Generator) -> tuple[Made, dict[str, Any]]:
@@ -164,6 +164,6 @@ def _oracle(one: Made, effect: dict[str, Any]) -> Fit:
     told = one.campaign.model_copy(
         update={name: getattr(type(one.campaign).model_validate(keys), name) for name in ("effects", "diagnosis")}
     )
-    geometry = fit_constants(told, one.robot, one.rows, ())
-    found: Fit = calibrated_arm(told, one.robot, one.rows, (), geometry, SILENT).diagnosed.fit
+    geometry = fit_constants(told.question, one.robot, one.rows, ())
+    found: Fit = calibrated_arm(told.question, one.robot, one.rows, (), geometry, SILENT).diagnosed.fit
     return found

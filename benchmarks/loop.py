@@ -100,8 +100,8 @@ def column(console: Console) -> None:
         table.add_column(head)
     for seed in range(4):
         robot, campaign, rows, truth, theta = _column(seed)
-        geometry = fit_constants(campaign, robot, rows, ())
-        arm = calibrated_arm(campaign, robot, rows, (), geometry, SILENT)
+        geometry = fit_constants(campaign.question, robot, rows, ())
+        arm = calibrated_arm(campaign.question, robot, rows, (), geometry, SILENT)
         found, diagnosed = arm.geometry.geometric, arm.diagnosed
         own = [c for c in truth.coefficients if not c.basis.constant]
         model = found.model.with_coefficients((*found.model.coefficients, *own))

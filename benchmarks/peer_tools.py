@@ -66,7 +66,7 @@ def aridcal(folder: Path) -> Answer:
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 0)
     train = rows.select(rows.train)
     clock.lap("read")
-    found = fit_geometry(campaign, robot, train, ())
+    found = fit_geometry(campaign.question, robot, train, ())
     clock.lap("solve")
     fitted = found.geometric
     held = np.load(folder / "rows.npz")["held_readings"]

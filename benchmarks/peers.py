@@ -299,7 +299,7 @@ def exponent(console: Console) -> None:
         solves = []
         for _ in range(REPEATS if n < SIZES[-1] else 1):
             began = time.process_time()
-            fit_geometry(campaign, rows.robot, rows.data, ())
+            fit_geometry(campaign.question, rows.robot, rows.data, ())
             solves.append(time.process_time() - began)
         taken.append(float(np.median(solves)))
         step = f"{np.log10(taken[-1] / taken[-2]):.3f}" if len(taken) > 1 else ""

@@ -197,8 +197,8 @@ def campaign(robot: Robot, effects: list[dict[str, object]], candidates: tuple[s
 def calibrated(case: Case, effects: list[dict[str, object]], candidates: tuple[str, ...]) -> CalibratedArm:
     """As `identify` does it."""
     asked = campaign(case.robot, effects, candidates)
-    geometry = fit_constants(asked, case.robot, case.rows, ())
-    return calibrated_arm(asked, case.robot, case.rows, (), geometry, SILENT)
+    geometry = fit_constants(asked.question, case.robot, case.rows, ())
+    return calibrated_arm(asked.question, case.robot, case.rows, (), geometry, SILENT)
 
 
 def oracle(case: Case, one: Fit) -> Fit:

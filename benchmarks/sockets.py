@@ -113,9 +113,12 @@ def _declared(path: Path) -> tuple[Dataset, np.ndarray, np.ndarray]:
     campaign = load_campaign(path)
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base, campaign.limits.urdf)
     rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 0))
-    labels = station_labels(campaign, rows)
-    geometry = fit_constants(campaign, robot, rows, labels)
-    arms = calibrated_arm(campaign, robot, rows, labels, geometry, SILENT), fit_arm(campaign, geometry, rows, SILENT)
+    labels = station_labels(campaign.question, rows)
+    geometry = fit_constants(campaign.question, robot, rows, labels)
+    arms = (
+        calibrated_arm(campaign.question, robot, rows, labels, geometry, SILENT),
+        fit_arm(campaign.question, geometry, rows, SILENT),
+    )
     fits = [arm.diagnosed.fit for arm in arms]
     weighed, alike = (problem(fit.model, rows).residual(fit.theta) for fit in fits)
     return rows, weighed, alike

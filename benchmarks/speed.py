@@ -65,7 +65,7 @@ class Loaded:
 
     def solve(self) -> stages.Geometry:
         """Frames, then frames and constants, from all rows."""
-        return stages.fit_geometry(self.campaign, self.robot, self.rows, ())
+        return stages.fit_geometry(self.campaign.question, self.robot, self.rows, ())
 
 
 def load(path: Path) -> Loaded:

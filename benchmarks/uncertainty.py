@@ -41,6 +41,7 @@ from aridcal.result.pipeline import identify, score
 from aridcal.search.arm import calibrated_arm, fit_constants
 from aridcal.showing import SILENT
 from aridcal.trust.certainty import certainty
+from aridcal.trust.region import wanted
 from aridcal.trust.uncertainty import with_noise_seen
 from aridcal.trust.workspace import knowledge
 
@@ -168,9 +169,9 @@ def sigma(name: str, runs: int, seed: int) -> None:
         rng = np.random.default_rng([seed, run])
         made = machine(case, rng)
         rows = measure(case, made, rng)
-        labels = station_labels(campaign, rows)
-        geometry = fit_constants(campaign, made.model.robot, rows, labels)
-        arm = calibrated_arm(campaign, made.model.robot, rows, labels, geometry, SILENT)
+        labels = station_labels(campaign.question, rows)
+        geometry = fit_constants(campaign.question, made.model.robot, rows, labels)
+        arm = calibrated_arm(campaign.question, made.model.robot, rows, labels, geometry, SILENT)
         fit = recentred(with_noise_seen(arm.diagnosed.fit, rows))
         like = np.arange(len(q)) % len(rows)
         known = knowledge(fit, rows, arm.geometry.geometric.candidates).over(rows, q, like)
@@ -221,7 +222,7 @@ def kinds(way: str, runs: int, seed: int) -> None:
         keys["truth"]["seed"] = 1000 * seed + run
         try:
             one, exact = made(noisy(keys), robot), made(keys, robot)
-            geometry = fit_constants(one.campaign, robot, one.rows, ())
+            geometry = fit_constants(one.campaign.question, robot, one.rows, ())
         except AridcalError as fault:
             print(f"  {way} {run}: {fault}")
             continue
@@ -286,10 +287,12 @@ def tolerance(name: str, runs: int, seed: int) -> None:
         rows = measure(case, made, rng, asked.jitter)
         rows = replace(rows, test=np.arange(len(rows)) % 5 == 0)
         rows = rows if asked.declared else with_sigma(rows, (None, None))
-        geometry = fit_constants(campaign, robot, rows, ())
+        geometry = fit_constants(campaign.question, robot, rows, ())
         fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
         residual = problem(fit.model, rows).residual(fit.theta)
-        known = certainty(campaign, fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None)
+        known = certainty(
+            wanted(campaign), fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None
+        )
         said, q = known.kept[0].bound, known.region.readings
         own = rng.normal(0.0, asked.jitter, q.shape) if asked.jitter else 0.0
         true = made.model.poses(made.theta, made.model.rows(q + own))[1]

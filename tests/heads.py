@@ -122,5 +122,5 @@ def shots(
 
 def calibrated(given: Shots) -> tuple[CalibratedArm, Geometry]:
     """The arm and the head, and the geometry with the head as declared."""
-    geometry = fit_constants(given.campaign, ARID, given.rows, ())
-    return calibrated_arm(given.campaign, ARID, given.rows, (), geometry, SILENT), geometry
+    geometry = fit_constants(given.campaign.question, ARID, given.rows, ())
+    return calibrated_arm(given.campaign.question, ARID, given.rows, (), geometry, SILENT), geometry

@@ -83,7 +83,7 @@ def test_nothing_but_backlash_may_depend_on_a_derived_side(tmp_path: Path) -> No
     found = load_campaign(campaign(tmp_path))
     robot = robots.ur10()
     rows = with_directions(load_measurements(found, robot.readings, robot.limits, robot.kinds))
-    geometric = fit_constants(found, robot, rows, ()).geometric
+    geometric = fit_constants(found.question, robot, rows, ()).geometric
     train = rows.select(rows.train)
     asked = [look(geometric.model, part)[0] for part in (train, replace(train, covariates={}).with_origin(derived=()))]
     with_it, without = (candidates(part, [k for k in KINDS if KINDS[k].testable]) for part in asked)

@@ -208,7 +208,7 @@ def test_predicted_sigma_is_the_scatter_of_calibrations(tmp_path: Path) -> None:
     for _ in range(40):
         turned = robots.Rotation.from_rotvec(1e-4 * rng.standard_normal((30, 3))).as_matrix() @ R
         rows = robots.measured(robot, plan.readings, p + 1e-4 * rng.standard_normal((30, 3)), turned)
-        fit = fit_geometry(made, robot, robots.declared(rows, 1e-4, 1e-4), ()).geometric
+        fit = fit_geometry(made.question, robot, robots.declared(rows, 1e-4, 1e-4), ()).geometric
         off.append(fit.model.poses(fit.theta, fit.model.rows(places))[1] - exact)
     scatter = np.sqrt(np.mean(np.sum(np.array(off) ** 2, axis=2)))
     assert plan.at_n.rms == pytest.approx(scatter, rel=0.12)  # 40 draws of some 20 unknowns, other places
@@ -369,7 +369,7 @@ def test_new_rows_add_to_those_measured(begun: Campaign) -> None:
     plan = design(known, Asked(8))
     assert [s.n for s in plan.sigma] == [0, 2, 4, 8, 16]
     rows = load_measurements(begun, robot.readings, robot.limits, robot.kinds)
-    fit = fit_constants(begun, robot, rows, ()).geometric
+    fit = fit_constants(begun.question, robot, rows, ()).geometric
     drawing = np.random.default_rng(np.random.SeedSequence(0).spawn(3)[0])
     draw_candidates(known, 300, 16, drawing)
     places = region_readings(known, None, drawing)

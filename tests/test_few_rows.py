@@ -90,7 +90,7 @@ def test_ten_positions_of_seven_joints_leave_the_truth_within_what_is_stated(see
 def test_what_few_rows_do_not_tell_is_as_uncertain_as_what_is_believed_of_it() -> None:
     """Second road: all constants, the redundant ones too, with their prior, and the plain formula of linear models."""
     truth = few(3, 11)
-    geometry = fit_constants(robots.campaign("position"), truth.model.robot, truth.measured, ())
+    geometry = fit_constants(robots.campaign("position").question, truth.model.robot, truth.measured, ())
     found = geometry.geometric
     assert found.believed.any() and len(found.theta) > 3 * 11 - 3
     every = found.candidates
@@ -129,7 +129,7 @@ def _sizes(found: Fit, every: tuple[Coefficient, ...], frames: np.ndarray) -> np
 
 def test_a_configuration_that_one_model_misses_by_far_does_not_decide_for_the_nominal_robot() -> None:
     truth = robots.simulate(robots.ur10(), 14, np.random.default_rng(3), 1e-3, 1e-4)
-    geometry = fit_constants(robots.campaign("pose"), truth.model.robot, truth.measured, ())
+    geometry = fit_constants(robots.campaign("pose").question, truth.model.robot, truth.measured, ())
     assert arm.is_better(geometry.geometric, geometry.nominal, truth.measured)
     position = truth.measured.position.copy()
     position[4] += 0.05

@@ -294,7 +294,7 @@ def test_series_d_names_its_target_translation_and_keeps_it_at_the_hint(shared_d
     campaign = load_campaign(CAMPAIGNS / "ur10-laser-tracker" / "campaign-d.yaml")
     robot = load_robot(campaign.robot.urdf, campaign.robot.tip, campaign.robot.base)
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds, 0)
-    geometry = fit_geometry(campaign, robot, rows.select(rows.train), ())
+    geometry = fit_geometry(campaign.question, robot, rows.select(rows.train), ())
     hint = campaign.frames.tip_target.xyz
     for found in (geometry.nominal, geometry.geometric):
         assert "tip_target.z" in found.redundant

@@ -40,7 +40,9 @@ def test_a_direction_that_is_right_is_never_doubted(seed: int, compliance: float
 def test_the_setting_is_said_before_all_that_may_follow_from_it() -> None:
     rows = measured(5, np.array([0.0, 0.866, -0.5]), 3e-5)
     asked = robots.campaign("pose", diagnosis={"candidates": ["joint_compliance", "joint_gain"]})
-    arm = calibrated_arm(asked, robots.ur10(), rows, (), fit_constants(asked, robots.ur10(), rows, ()), SILENT)
+    arm = calibrated_arm(
+        asked.question, robots.ur10(), rows, (), fit_constants(asked.question, robots.ur10(), rows, ()), SILENT
+    )
     said = judged(arm).verdict
     assert said.word == "structure_remains"
     assert "robot.gravity" in said.reasons[0]

@@ -174,7 +174,7 @@ def test_halves_of_every_kind_agree_where_nothing_is_missing_and_differ_where_a_
     arm = gauges.arm(seed=2)
     measured = make(arm)
     rows = gauges.rows(arm, measured)
-    first = fit_geometry(gauges.campaign(tmp_path, arm, rows), arm.robot, rows, ()).geometric
+    first = fit_geometry(gauges.campaign(tmp_path, arm, rows).question, arm.robot, rows, ()).geometric
     assert compared(first, rows).p_value > 0.01
     jump = np.where(np.arange(len(rows)) < len(rows) // 2, 0.0, 2e-3)
     spoilt = gauges.rows(arm, replace(measured, q=measured.q + jump[:, None] * np.eye(6)[2]))

@@ -25,7 +25,7 @@ ARMS = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.02], [-0.02, 0.07, 0.0]])
 def fits(n: int, size: float) -> tuple[Fit, Fit, robots.Truth]:
     """The nominal and the geometric fit of n poses of a robot that is off by so much."""
     truth = robots.simulate(robots.ur10(), n, np.random.default_rng(1), size=size, noise=1e-4)
-    geometry = fit_constants(robots.campaign("pose"), truth.model.robot, truth.measured, ())
+    geometry = fit_constants(robots.campaign("pose").question, truth.model.robot, truth.measured, ())
     return geometry.nominal, geometry.geometric, truth
 
 

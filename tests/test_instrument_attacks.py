@@ -40,7 +40,7 @@ def test_a_motion_that_can_shrink_the_arm_does_not_shrink_the_noise(kind: str, t
     block = gauges.heights(of, 150) if kind == "heights" else gauges.points(of, 3, 25, tied=False)
     data = gauges.rows(of, block)
     campaign = gauges.campaign(tmp_path, of, data)
-    geometric = fit_geometry(campaign, of.robot, data, ()).geometric
+    geometric = fit_geometry(campaign.question, of.robot, data, ()).geometric
     joints = of.robot.names[:3]
     free = tuple(
         Coefficient(joint, c, Basis(form, (joint,), (1.0,)))
@@ -67,14 +67,14 @@ def test_rows_that_cannot_tell_where_their_things_are_are_refused_by_name(tmp_pa
     of = gauges.arm(2)
     data = gauges.rows(of, gauges.distances(of, 3, 3))
     with pytest.raises(MeasurementError, match=r"anchor .* cannot tell where it is"):
-        fit_geometry(gauges.campaign(tmp_path, of, data), of.robot, data, ())
+        fit_geometry(gauges.campaign(tmp_path, of, data).question, of.robot, data, ())
 
 
 def test_one_marker_seen_once_costs_nothing(tmp_path: Path) -> None:
     """The other rows are fitted as if it were not there."""
     of = gauges.arm(3)
     data = gauges.rows(of, gauges.points(of, 2, 30, tied=False))
-    alone = fit_geometry(gauges.campaign(tmp_path, of, data), of.robot, data, ()).geometric
+    alone = fit_geometry(gauges.campaign(tmp_path, of, data).question, of.robot, data, ()).geometric
     refers = data.labels.refers.copy().astype("U16")
     refers[7, 0] = "lonely"
     things = data.instruments.things["point"]
@@ -87,6 +87,6 @@ def test_one_marker_seen_once_costs_nothing(tmp_path: Path) -> None:
     )
     instruments = replace(data.instruments, things={"point": more})
     odd = replace(data, instruments=instruments).with_labels(refers=refers)
-    with_it = fit_geometry(gauges.campaign(tmp_path, of, odd), of.robot, odd, ()).geometric
+    with_it = fit_geometry(gauges.campaign(tmp_path, of, odd).question, of.robot, odd, ()).geometric
     assert with_it.model.names == alone.model.names
     assert np.abs((with_it.theta - alone.theta) / alone.std).max() < 1.0

@@ -63,7 +63,9 @@ def calibrated(rows: Dataset, per: str = "", **sections: object) -> CalibratedAr
     frames = {} if not per else {"frames": {per: {"per": "station"}}}
     asked = robots.campaign("pose", parameters={"set": "doty"}, **(frames | sections))
     labels = tuple(sorted(set(rows.labels.station.tolist()))) if per and rows.labels.station is not None else ()
-    return calibrated_arm(asked, robots.arid(), rows, labels, fit_constants(asked, robots.arid(), rows, labels), SILENT)
+    return calibrated_arm(
+        asked.question, robots.arid(), rows, labels, fit_constants(asked.question, robots.arid(), rows, labels), SILENT
+    )
 
 
 def labelled(seed: int, n: int, labels: int) -> np.ndarray:

@@ -40,7 +40,7 @@ def of_kind(make: Callable[[gauges.Arm], gauges.Measured], folder: Path) -> tupl
     """A UR10 of which another kind of instrument says where it is."""
     arm = gauges.arm(seed=2)
     rows = gauges.rows(arm, make(arm), declared=True)
-    first = fit_geometry(gauges.campaign(folder, arm, rows), arm.robot, rows, ()).geometric
+    first = fit_geometry(gauges.campaign(folder, arm, rows).question, arm.robot, rows, ()).geometric
     return fit(problem(first.model, rows), first.theta, np.ones(len(rows))), rows
 
 
@@ -82,7 +82,7 @@ def test_rows_of_an_anchor_that_only_one_fold_knows_are_not_counted(tmp_path: Pa
     lone = rows.labels.refers[:, 0] == "w2"
     rows = rows.select(~lone | (np.cumsum(lone) <= 8))
     lone = rows.labels.refers[:, 0] == "w2"
-    first = fit_geometry(gauges.campaign(tmp_path, arm, rows), arm.robot, rows, ()).geometric
+    first = fit_geometry(gauges.campaign(tmp_path, arm, rows).question, arm.robot, rows, ()).geometric
     found = fit(problem(first.model, rows), first.theta, np.ones(len(rows)))
     told = folds(found, rows, rows_of(found, rows))
     assert told is not None

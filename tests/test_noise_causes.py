@@ -47,8 +47,8 @@ def misread(data: Dataset, joint: int, size: float, seed: int = 0) -> Dataset:
 
 def calibrated(data: Dataset, robot: Robot = UR10, **sections: object) -> CalibratedArm:
     settings = robots.campaign("pose" if data.rotation is not None else "position", **(sections or FRAMES_ALONE))
-    geometry = fit_constants(settings, robot, data, ())
-    return calibrated_arm(settings, robot, data, (), geometry, SILENT)
+    geometry = fit_constants(settings.question, robot, data, ())
+    return calibrated_arm(settings.question, robot, data, (), geometry, SILENT)
 
 
 def causes(data: Dataset, robot: Robot = UR10) -> NoiseCauses:
@@ -157,7 +157,7 @@ def test_rows_that_scatter_less_count_more() -> None:
     for seed in range(3):
         truth = rows(seed, 2e-5, size=5e-4)
         data = misread(truth.measured, 0, 5e-4, seed)
-        plain = fit_arm(settings, fit_constants(settings, UR10, data, ()), data, SILENT)
+        plain = fit_arm(settings.question, fit_constants(settings.question, UR10, data, ()), data, SILENT)
         arm = calibrated(data, **GEOMETRY_ALONE)
         unseen = robots.readings(UR10, 300, np.random.default_rng(99))
         p = truth.model.poses(truth.theta, truth.model.rows(unseen))[1]

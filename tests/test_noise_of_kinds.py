@@ -48,7 +48,7 @@ def rounded(data: Dataset) -> Dataset:
 
 def calibrated(folder: Path, arm: gauges.Arm, data: Dataset) -> CalibratedArm:
     job = gauges.campaign(folder, arm, data)
-    return calibrated_arm(job, arm.robot, data, (), fit_constants(job, arm.robot, data, ()), SILENT)
+    return calibrated_arm(job.question, arm.robot, data, (), fit_constants(job.question, arm.robot, data, ()), SILENT)
 
 
 def causes(folder: Path, arm: gauges.Arm, data: Dataset) -> NoiseCauses:
@@ -90,7 +90,7 @@ def test_rows_are_weighed_by_what_rounded_joints_do_to_them(tmp_path: Path) -> N
     arm = gauges.arm(1)
     data = rounded(gauges.rows(arm, gauges.distances(arm, 3, 100), gauges.levels(arm, 60)))
     job = gauges.campaign(tmp_path, arm, data)
-    made = fit_arm(job, fit_constants(job, arm.robot, data, ()), data, SILENT).diagnosed
+    made = fit_arm(job.question, fit_constants(job.question, arm.robot, data, ()), data, SILENT).diagnosed
     found = noise_causes(made.fit, made.found.state.active, data)
     assert found is not None and found.relative is not None
     fit, step = made.fit, 1e-6
@@ -212,7 +212,7 @@ def stated(seed: int, own: float, turn: float, correlated: bool) -> Dataset:
 
 def of_poses(data: Dataset) -> CalibratedArm:
     settings, robot = robots.campaign("pose", **FRAMES_ALONE), robots.ur10()
-    return calibrated_arm(settings, robot, data, (), fit_constants(settings, robot, data, ()), SILENT)
+    return calibrated_arm(settings.question, robot, data, (), fit_constants(settings.question, robot, data, ()), SILENT)
 
 
 @pytest.mark.parametrize("correlated", [False, True])

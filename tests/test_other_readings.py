@@ -55,7 +55,7 @@ def judge(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: An
     campaign, robot = load_campaign(path), truth.model.robot
     rows = load_measurements(campaign, robot.readings, robot.limits, robot.kinds)
     try:
-        geometry = fit_constants(campaign, robot, rows, station_labels(campaign, rows))
+        geometry = fit_constants(campaign.question, robot, rows, station_labels(campaign.question, rows))
     except NotOfThisRobot:
         refuse_misread(campaign, robot, rows, None)
         raise

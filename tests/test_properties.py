@@ -422,7 +422,7 @@ def test_new_origins_leave_every_other_byte_of_the_urdf(drawn: list[Drawn], data
 
 
 def solve(data: Dataset, robot: Robot) -> Geometry:
-    return fit_geometry(robots.campaign((data.rotation is None and "position") or "pose"), robot, data, ())
+    return fit_geometry(robots.campaign((data.rotation is None and "position") or "pose").question, robot, data, ())
 
 
 def predicted(found: Geometry, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -388,7 +388,9 @@ def test_what_does_not_hold_between_the_places_measured_is_not_called_a_constant
     p = p + 1e-4 * rng.standard_normal(p.shape)
     rows = robots.declared(robots.measured(robot, q, p, R), 1e-4, 1e-4)
     asked = robots.campaign("pose", parameters={"set": "doty"}, diagnosis={"candidates": ("regional",)})
-    found = calibrated_arm(asked, robot, rows, (), fit_constants(asked, robot, rows, ()), SILENT).diagnosed.found
+    found = calibrated_arm(
+        asked.question, robot, rows, (), fit_constants(asked.question, robot, rows, ()), SILENT
+    ).diagnosed.found
     active = [a.effect.where for a in found.state.active]
     assert active == ([] if jumps else ["joint_2"])
     if jumps:

@@ -24,7 +24,7 @@ def solve(truth: robots.Truth, station: np.ndarray | None = None, **keys: object
     kind = "pose" if truth.measured.rotation is not None else "position"
     labels = tuple(sorted(set(station.tolist()))) if station is not None else ()
     rows = robots.measurements(truth, station)
-    return fit_geometry(robots.campaign(kind, **keys), truth.model.robot, rows, labels)
+    return fit_geometry(robots.campaign(kind, **keys).question, truth.model.robot, rows, labels)
 
 
 def rms(truth: robots.Truth, found: Geometry, station: np.ndarray | None = None) -> tuple[float, float]:
@@ -211,10 +211,10 @@ def test_sigmas_of_the_rows_are_relative_with_rms_1_and_absolute_ones_declare_th
 
 def test_frames_to_identify_come_world_first_and_per_station() -> None:
     some = dataset(robots.ur10().readings, robots.ur10().kinds, np.zeros((1, 6)), np.zeros((1, 3)))
-    names = [c.name for c in frame_coefficients(robots.campaign(), (), some)]
+    names = [c.name for c in frame_coefficients(robots.campaign().question, (), some)]
     assert names == [f"{w}.{c}" for w in ("world_base", "tip_target") for c in ALL]
     per = robots.campaign(frames={"world_base": {"per": "station"}, "tip_target": {"identify": False}})
-    assert [c.name for c in frame_coefficients(per, ("a", "b"), some)] == [
+    assert [c.name for c in frame_coefficients(per.question, ("a", "b"), some)] == [
         f"world_base[{s}].{c}" for s in "ab" for c in ALL
     ]
 
@@ -250,5 +250,5 @@ def test_sigmas_of_the_rows_change_no_unit(how: str) -> None:
     """Residuals are weighed by them, but judged in metres."""
     truth = example(80)
     rows = weighed(truth.measured, RowNoise(std=np.full((80, 6), 1e-5), absolute=how == "absolute"))
-    found = fit_geometry(robots.campaign(), truth.model.robot, rows, ())
+    found = fit_geometry(robots.campaign().question, truth.model.robot, rows, ())
     assert rms(truth, found)[1] < 1.2 * np.sqrt(3) * 1e-5

@@ -40,7 +40,7 @@ def asked(folder: Path, name: str, images: int = 12) -> tuple[Problem, np.ndarra
     if name == "markers":
         data = unknown_markers(data)
     data = data.select(data.train)
-    fit = fit_geometry(gauges.campaign(folder, arm, data), arm.robot, data, ()).geometric
+    fit = fit_geometry(gauges.campaign(folder, arm, data).question, arm.robot, data, ()).geometric
     return problem(fit.model, data), fit.theta
 
 

@@ -40,4 +40,4 @@ def measured(
 
 
 def geometric(rows: Dataset) -> Fit:
-    return fit_constants(robots.campaign("pose"), robots.ur10(), rows, ()).geometric
+    return fit_constants(robots.campaign("pose").question, robots.ur10(), rows, ()).geometric

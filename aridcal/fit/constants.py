@@ -8,23 +8,22 @@ import pinocchio as pin
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.errors import RobotError
 from aridcal.fit.least_squares import Fit
-from aridcal.inputs.campaign import Campaign, FrameSettings
+from aridcal.fit.question import Placement, Question
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP
-from aridcal.inputs.read import per_station
+from aridcal.instruments.setup import TIP
 from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.robot.doty import doty_links
 from aridcal.robot.splice import splice_origins, written_origins
 
 
-def frame_coefficients(campaign: Campaign, labels: tuple[str, ...], data: Dataset) -> tuple[Coefficient, ...]:
+def frame_coefficients(question: Question, labels: tuple[str, ...], data: Dataset) -> tuple[Coefficient, ...]:
     """Unknowns of the frames that are to be identified: world_base first, then what cameras and boards are unknown in."""
     found = []
-    for where, settings in (("world_base", campaign.frames.world_base), ("tip_target", campaign.frames.tip_target)):
-        if settings.identify and (where == "tip_target" or has_world(data)):
-            own = frame_labels(where, settings, labels, data)
-            held = {name for name, target in campaign.instruments.targets.items() if not target.identify}
+    for where, frame in (("world_base", question.world_base), ("tip_target", question.tip_target)):
+        if frame.unknown and (where == "tip_target" or has_world(data)):
+            own = frame_labels(where, frame, labels, data)
+            held = {name for name, target in question.targets.items() if not target.unknown}
             own = own if where == "world_base" else tuple(s for s in own if s != TIP and s not in held)
             found += [Coefficient(where, c, station=s) for s in own for c in FRAME_COMPONENTS]
     if not measures_target(data):
@@ -36,9 +35,15 @@ def frame_coefficients(campaign: Campaign, labels: tuple[str, ...], data: Datase
     return tuple(found)
 
 
-def frame_labels(where: str, settings: FrameSettings, labels: tuple[str, ...], data: Dataset) -> tuple[str | None, ...]:
+def asked_constants(question: Question, robot: Robot, data: Dataset) -> tuple[Coefficient, ...]:
+    """All that is to be identified: unknown frames, then the robot's constants."""
+    labels = station_labels(question, data)
+    return frame_coefficients(question, labels, data) + constants(robot, question.constants)
+
+
+def frame_labels(where: str, frame: Placement, labels: tuple[str, ...], data: Dataset) -> tuple[str | None, ...]:
     """Labels of the frames at one end of the chain: stations, targets, or none where one frame serves all rows."""
-    if settings.per == "station":
+    if frame.by_station:
         return labels
     if where == "tip_target" and data.labels.target is not None:
         return tuple(sorted({str(t) for t in data.labels.target}))
@@ -107,9 +112,9 @@ def unused_links(robot: Robot, which: str) -> list[str]:
     return said
 
 
-def station_labels(campaign: Campaign, data: Dataset) -> tuple[str, ...]:
+def station_labels(question: Question, data: Dataset) -> tuple[str, ...]:
     """All stations, sorted, where a frame is one for each of them; else none. Rows from link to link may have none."""
-    if data.labels.station is None or not per_station(campaign):
+    if data.labels.station is None or not question.by_station:
         return ()
     return tuple(sorted({str(s) for s in data.labels.station} - {""}))
 

@@ -16,11 +16,11 @@ from aridcal.fit.flags import robust_sigma
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
+from aridcal.fit.question import Placement, Question
 from aridcal.fit.thing_starts import beginning
-from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP, TargetSettings
 from aridcal.instruments.channels import spread
+from aridcal.instruments.setup import TIP
 from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
@@ -70,12 +70,12 @@ class Geometry:
 
 
 def fit_geometry(
-    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
+    question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
 ) -> Geometry:
     """Fit the frames alone, then the frames and the identifiable constants.
 
     Args:
-        campaign: Which frames and which set of constants.
+        question: Which frames and which set of constants.
         robot: The nominal chain.
         train: Rows to fit.
         labels: All stations, where a frame is per station.
@@ -85,14 +85,14 @@ def fit_geometry(
         NotIdentifiable: nothing can be identified from these rows.
         NotOfThisRobot: the rows cannot be of this robot.
     """
-    frames = frame_coefficients(campaign, labels, train)
-    asked = problem(_start(campaign, robot, train, labels, frames), train, progress)
+    frames = frame_coefficients(question, labels, train)
+    asked = problem(_start(question, robot, train, labels, frames), train, progress)
     try:
         nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
     except NotIdentifiable:
         _refuse_strangers(asked.residual(np.zeros(len(frames))), train, _targets(asked, np.zeros(len(frames))))
         raise
-    candidates = frames + constants(robot, campaign.parameters.set)
+    candidates = frames + constants(robot, question.constants)
     if not candidates:
         _refuse_strangers(unscaled(nominal.residual, train.relative), train, _targets(asked, nominal.theta, nominal))
         return Geometry(nominal, nominal)
@@ -112,12 +112,12 @@ def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], l
 
 
 def _start(
-    campaign: Campaign, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
+    question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
     """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
     seen = measured(bare, train)
-    world, tip = campaign.frames.world_base, campaign.frames.tip_target
+    world, tip = question.world_base, question.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
     if train.labels.target is not None:
@@ -126,11 +126,10 @@ def _start(
         some = thin(replace(seen.rows, world=station, tip=number), START_ROWS)
         train, seen, station, number = train.select(some), seen[some], station[some], number[some]
     R, p = bare.poses(np.zeros(0), seen.rows)
-    stated = {name: campaign.instruments.targets.get(str(name), tip) for name in names}
-    hints = {k: pin.SE3.Identity() if name == TIP else placement(stated[name]) for k, name in enumerate(names)}
+    hints = {k: pin.SE3.Identity() if name == TIP else question.target(name).at for k, name in enumerate(names)}
     fixed = not measures_target(train)
-    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not stated[names[k]].identify}
-    known = None if world.identify and has_world(train) else placement(world)
+    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown}
+    known = None if world.unknown and has_world(train) else world.at
     found = beginning(train, seen, R, p, number, hints, held, station, known)
     return Model(
         robot,
@@ -140,17 +139,17 @@ def _start(
         instruments=train.instruments,
         states=found.states,
         routes=train.labels.routes,
-        target_on=campaign.instruments.targets_on(robot.tip),
+        target_on=question.target_on,
     )
 
 
-def nominal_sigma(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
     """How far the rows are from the nominal robot whose frames are placed in closed form: quick, and nearly the fit's.
 
     Returns:
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
     """
-    model = _start(campaign, robot, rows, labels, ())
+    model = _start(question, robot, rows, labels, ())
     some = thin(rows_of_data(model, rows), START_ROWS)
     return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
 
@@ -219,9 +218,9 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray)
     )
 
 
-def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+def _frame_of_each_row(frame: Placement, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
     """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
-    if settings.per != "station":
+    if not frame.by_station:
         return np.zeros(len(train), dtype=int)
     if train.labels.station is None or not labels:
         raise MeasurementError("a frame is per station: the table needs a `station` column")
@@ -229,14 +228,9 @@ def _frame_of_each_row(settings: FrameSettings, train: Dataset, labels: tuple[st
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
 
 
-def _labelled(settings: FrameSettings, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
-    names: tuple[str | None, ...] = labels if settings.per == "station" else (None,)
+def _labelled(frame: Placement, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
+    names: tuple[str | None, ...] = labels if frame.by_station else (None,)
     return tuple(zip(names, placements, strict=True))
-
-
-def placement(settings: FrameSettings | TargetSettings) -> pin.SE3:
-    """A frame as a campaign states it."""
-    return pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
 
 
 def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:

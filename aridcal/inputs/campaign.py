@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
+import pinocchio as pin
 from pydantic import (
     BeforeValidator,
     Field,
@@ -21,8 +22,9 @@ from pydantic import (
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.loads import PAYLOAD, Payload
 from aridcal.errors import CampaignError, nearest, shortened
+from aridcal.fit.question import Placement, Question
 from aridcal.inputs.counting import check_joints
-from aridcal.inputs.instrument_settings import TIP, WORLD, InstrumentSettings
+from aridcal.inputs.instrument_settings import InstrumentSettings, TargetSettings
 from aridcal.inputs.measurement_settings import (
     MeasurementSettings,
     Names,
@@ -33,6 +35,7 @@ from aridcal.inputs.purposes import About, DesignSettings, Region, StudySettings
 from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Settings, Vector3, load_settings
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
+from aridcal.instruments.setup import TIP, WORLD
 from aridcal.reading.names import check_path
 from aridcal.robot.chain import Robot, load_robot, with_limbs
 from aridcal.robot.drive import Stated
@@ -133,6 +136,13 @@ class FrameSettings(Section):
         if self.per and not self.identify:
             raise ValueError("`per: station` makes sense only with `identify: true`")
         return self
+
+
+def placed(settings: FrameSettings | TargetSettings) -> Placement:
+    """A frame as a campaign states it."""
+    at = pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
+    by_station = isinstance(settings, FrameSettings) and settings.per is not None
+    return Placement(at, settings.identify, by_station)
 
 
 class Frames(Section):
@@ -323,6 +333,25 @@ class Job(Settings):
         """Covariate of each of the payloads; of several by their links."""
         return (PAYLOAD,) if len(self.payload) == 1 else tuple(f"{PAYLOAD}_{each.on}" for each in self.payload)
 
+    @property
+    def question(self) -> Question:
+        """What it asks of its rows."""
+        gravity, targets = self.robot.gravity, self.instruments.targets
+        return Question(
+            world_base=placed(self.frames.world_base),
+            tip_target=placed(self.frames.tip_target),
+            targets={label: placed(target) for label, target in targets.items()},
+            target_on=self.instruments.targets_on(self.robot.tip),
+            constants=self.parameters.set,
+            gravity=None if gravity == "world" else np.array(gravity, dtype=float),
+            payloads=tuple(
+                Payload(np.zeros(3), each.on, name) for name, each in zip(self.masses, self.payload, strict=True)
+            ),
+            effects=self.effects,
+            sought=self.diagnosis.candidates if self.diagnosis.enabled else (),
+            source=self.path,
+        )
+
     def payload_key(self, number: int) -> str:
         """What a payload is called in messages."""
         return f"payload[{number}]" if len(self.payload) > 1 else "payload"
@@ -434,18 +463,6 @@ class Campaign(Job):
             elif not block.files:
                 raise ValueError(f"{self.place(number)}.file: name the table of measurements, or a list of them")
         return self
-
-
-def hung(job: Job, target: np.ndarray) -> tuple[Payload, ...]:
-    """The payloads of a campaign or a scenario; one that it says nothing of hangs at the default path's target.
-
-    Args:
-        job: Names links, at whose origins they hang.
-        target: Place of that target on the tip, shape (3,), [m].
-    """
-    if not job.payload:
-        return (Payload(target),)
-    return tuple(Payload(np.zeros(3), each.on, name) for name, each in zip(job.masses, job.payload, strict=True))
 
 
 def nominal_robot(job: Job) -> Robot:

@@ -11,6 +11,7 @@ import pinocchio as pin
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from aridcal.inputs.yaml_file import Number, Positive, RelativePath, Section, Vector3
+from aridcal.instruments.setup import TIP, WORLD
 
 EXACT = 1e-5
 """[m], [rad] Sigma of a length or a right angle where none is stated: finer than workshops measure them."""
@@ -23,9 +24,6 @@ LEAST_NORMAL = 1e-9
 
 Side = Annotated[int, Field(ge=1, le=100_000)]
 """Of an image, [px]: the largest sensors have some 15,000."""
-
-TIP, WORLD = "tip", "world"
-"""What things are on where no link is named; also the label of a target that is the tip itself, as cameras see it."""
 
 Carrier = str
 """What something is fixed to: ``tip``, ``world``, or a link of the URDF."""

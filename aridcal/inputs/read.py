@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aridcal.errors import CampaignError, MeasurementError, listed, nearest
+from aridcal.errors import CampaignError, MeasurementError, listed, nearest, shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.checks import (
     check_distances,
@@ -22,7 +22,6 @@ from aridcal.inputs.checks import (
     stale_rows,
 )
 from aridcal.inputs.dataset import Dataset, RowNoise, together, weighed, weighed_apart
-from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.quantities import Source
 from aridcal.inputs.remarks import Remark
@@ -34,7 +33,7 @@ from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_tr
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import pose_numbers, turned
-from aridcal.instruments.setup import Block
+from aridcal.instruments.setup import TIP, Block
 from aridcal.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.reading.freed import give_back
 from aridcal.robot.chain import JointKind, Robot, Route, check_route
@@ -116,18 +115,35 @@ def load_measurements(
     if not require_pose or _direct(campaign, parts[0].rows):
         rows = parts[0].rows
         if fitted:
-            rows = with_training_rows(rows, per_station(campaign), np.full(len(rows), not rows.origin.split_given))
-        return weighed(rows, parts[0].noise)
+            rows = with_training_rows(
+                rows, campaign.question.by_station, np.full(len(rows), not rows.origin.split_given)
+            )
+        return _with_masses(weighed(rows, parts[0].noise), campaign, fitted)
     if not fitted:
         there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
     rows = _targets_told(campaign, together([part.rows for part in parts]))
     if fitted:
         drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
-        rows = with_training_rows(rows, per_station(campaign), drawn)
+        rows = with_training_rows(rows, campaign.question.by_station, drawn)
         rows = with_training_labels(rows, drawn)
     rows = weighed_apart(rows, [part.noise for part in parts])
-    return _with_instruments(rows, asked)
+    return _with_masses(_with_instruments(rows, asked), campaign, fitted)
+
+
+def _with_masses(rows: Dataset, campaign: Campaign, fitted: bool) -> Dataset:
+    """Rows that are fitted, which have a covariate for each payload that the campaign hangs up; others as they are.
+
+    Raises:
+        CampaignError: one has no column.
+    """
+    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True) if fitted else ()):
+        if name not in rows.covariates:
+            raise CampaignError(
+                f"{campaign.path}: {campaign.payload_key(number)}.column: the tables have no numeric column "
+                f"{shortened(payload.column)!r}; name the one of the mass, or delete the payload"
+            )
+    return rows
 
 
 def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> _Part:
@@ -188,7 +204,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
         q = source.joints(kinds, needed_columns(asked.robot, paths))
-    by_station = per_station(campaign) and (of_target or alone)
+    by_station = campaign.question.by_station and (of_target or alone)
     station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
     covariates = source.covariates()
@@ -480,11 +496,6 @@ def _counted_on(table: Table) -> np.ndarray:
     """Lines of the rows, those of the second file after those of the first, shape (N,)."""
     last = [table.line[table.file == k].max(initial=0) for k in range(len(table.files))]
     return np.asarray(table.line + np.cumsum([0, *last])[table.file], dtype=float)
-
-
-def per_station(campaign: Campaign) -> bool:
-    """True where a frame is one for each station, so that every row must say at which it is."""
-    return "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per)
 
 
 def _existing(campaign: Campaign, tables: Sequence[AnyTable], own: bool) -> Sequence[AnyTable]:

@@ -6,9 +6,9 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from aridcal.inputs.instrument_settings import TIP, WORLD
 from aridcal.inputs.things import Known
 from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.setup import TIP, WORLD
 from aridcal.robot.chain import Robot, Route
 
 

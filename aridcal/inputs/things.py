@@ -15,7 +15,6 @@ from aridcal.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.inputs.campaign import Job
 from aridcal.inputs.instrument_settings import (
     BEYOND,
-    WORLD,
     AnchorSettings,
     InstrumentSettings,
     LengthSettings,
@@ -28,7 +27,7 @@ from aridcal.inputs.yaml_file import LARGEST
 from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
-from aridcal.instruments.setup import Block, Instruments, Things, Tie
+from aridcal.instruments.setup import WORLD, Block, Instruments, Things, Tie
 from aridcal.reading.files import TABLE, Limit
 from aridcal.reading.names import check_name
 

@@ -12,6 +12,9 @@ from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels
 from aridcal.instruments.kind import Kind, Role
 
+TIP, WORLD = "tip", "world"
+"""What things are on where no link is named; also the label of a target that is the tip itself, as cameras see it."""
+
 
 @dataclass(frozen=True)
 class Things:

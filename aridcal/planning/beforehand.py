@@ -12,17 +12,15 @@ from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, listed
 from aridcal.fit.constants import constants, frame_coefficients, frame_labels, station_labels
 from aridcal.fit.least_squares import UNKNOWN_NOISE
-from aridcal.fit.stages import placement
 from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.purposes import Box
 from aridcal.inputs.read import load_measurements, with_routes
 from aridcal.inputs.row_facts import ROLES
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.setup import Block, Instruments
+from aridcal.instruments.setup import TIP, Block, Instruments
 from aridcal.model.model import SIZES, Model
 from aridcal.model.reaching import draw_readings
 from aridcal.planning.clearance import THICK
@@ -174,13 +172,13 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
     """Frames, constants and declared effects from the rows that are there."""
     progress("reading the measurements")
     rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
-    labels = station_labels(campaign, rows)
+    question = campaign.question
+    labels = station_labels(question, rows)
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
-    geometry = fit_constants(campaign, robot, rows, labels, progress)
+    geometry = fit_constants(question, robot, rows, labels, progress)
     fit = geometry.geometric
     if campaign.effects:
-        quiet = campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
-        fit = fit_arm(quiet, geometry, rows, progress).diagnosed.fit
+        fit = fit_arm(question.without_search(), geometry, rows, progress).diagnosed.fit
     there = set(fit.model.names)
     others = tuple(c for c in geometry.geometric.candidates if c.name not in there)
     model = fit.model.with_coefficients((*fit.model.coefficients, *others))
@@ -245,7 +243,7 @@ def _patterns(rows: Dataset) -> Dataset:
 def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
     """The nominal robot with the campaign's hints, and things where these say that they are."""
     settings = campaign.measurements
-    if "station" in (campaign.frames.world_base.per, campaign.frames.tip_target.per):
+    if campaign.question.by_station:
         raise CampaignError(
             f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
             "without this key"
@@ -276,21 +274,20 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         )
     if labels:
         rows = with_routes(rows.with_labels(target=target), [settings], known, robot)
-    coefficients = frame_coefficients(campaign, (), rows) + constants(robot, campaign.parameters.set)
-    frames = campaign.frames
+    question = campaign.question
+    coefficients = frame_coefficients(question, (), rows) + constants(robot, question.constants)
     model = Model(
         robot,
         coefficients,
-        ((None, placement(frames.world_base)),),
+        ((None, question.world_base.at),),
         tuple(
-            (label, placement(campaign.instruments.targets.get(str(label), frames.tip_target)))
-            for label in frame_labels("tip_target", frames.tip_target, (), rows)
+            (label, question.target(label).at) for label in frame_labels("tip_target", question.tip_target, (), rows)
         ),
         instruments=rows.instruments,
         routes=rows.labels.routes,
-        target_on=campaign.instruments.targets_on(robot.tip),
+        target_on=question.target_on,
     )
-    around = surroundings(campaign, model, loaded=False)
+    around = surroundings(question, model, loaded=False)
     if labels:
         around = replace(around, sights=Sights(np.array([frame.translation for _, frame in model.tip_target])))
     model = replace(model, around=around)

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.loads import Surroundings
 from aridcal.effects.sights import Sights, sights_from
 from aridcal.errors import CampaignError
-from aridcal.inputs.instrument_settings import TIP, WORLD, TargetSettings
+from aridcal.inputs.instrument_settings import TargetSettings
 from aridcal.inputs.measurement_settings import SHOT, TARGET, MeasurementSettings
 from aridcal.inputs.orientations import POSITION, QUATERNION
 from aridcal.inputs.read import ONE_TARGET, own_target
@@ -28,6 +28,7 @@ from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import TRACKER, shown
+from aridcal.instruments.setup import TIP, WORLD
 from aridcal.model.model import Model
 from aridcal.model.model import Rows as ModelRows
 from aridcal.model.reaching import Miss, Pose, brought, draw_readings, limits_of, settled

@@ -120,7 +120,7 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     if not rows.direct:  # of these kinds no other readings are known
         return
     train = rows.fitted
-    labels = station_labels(campaign, rows)
+    labels = station_labels(campaign.question, rows)
     if geometry is not None:
         left = [
             Left(robust_sigma(unscaled(found.residual, train.relative), train.channels), _spread(train))
@@ -197,7 +197,7 @@ def _nominal(
     """What frames alone leave of a reading; None: it cannot be read so."""
     try:
         changed, rows = _rows(campaign, robot, settings, table)
-        return Left(nominal_sigma(changed, robot, rows, labels), _spread(rows))
+        return Left(nominal_sigma(changed.question, robot, rows, labels), _spread(rows))
     except (AridcalError, ValueError, np.linalg.LinAlgError):
         return None
 
@@ -208,7 +208,7 @@ def _geometric(
     """What frames and constants leave of a reading; None: it cannot be read so."""
     try:
         changed, rows = _rows(campaign, robot, settings, table)
-        found = fit_geometry(changed, robot, rows, labels).geometric
+        found = fit_geometry(changed.question, robot, rows, labels).geometric
         return Left(robust_sigma(unscaled(found.residual, rows.relative), rows.channels), _spread(rows))
     except (AridcalError, ValueError, np.linalg.LinAlgError):
         return None

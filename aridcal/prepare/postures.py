@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.errors import CampaignError
-from aridcal.inputs.instrument_settings import WORLD, Carrier
+from aridcal.inputs.instrument_settings import Carrier
 from aridcal.inputs.things import BOARD, Known
 from aridcal.instruments.pixels import faces, in_image
+from aridcal.instruments.setup import WORLD
 from aridcal.prepare.true_things import (
     AROUND,
     FACING,

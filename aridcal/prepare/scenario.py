@@ -152,7 +152,7 @@ def check_scenario(scenario: Scenario) -> None:
             "the table is written with quaternions; delete this key",
         ),
         "frames": (
-            "station" in (scenario.frames.world_base.per, scenario.frames.tip_target.per),
+            scenario.question.by_station,
             "stations are not simulated; delete `per: station`",
         ),
     }

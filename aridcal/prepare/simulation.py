@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.effects.catalogue import is_of_head
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.effects.loads import Surroundings
+from aridcal.effects.loads import Payload, Surroundings
 from aridcal.effects.sights import Sights
 from aridcal.errors import CampaignError, MeasurementError, nearest
 from aridcal.head.render import Optics
-from aridcal.inputs.campaign import DiagnosisSettings, hung, nominal_robot
+from aridcal.inputs.campaign import DiagnosisSettings, nominal_robot
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.orientations import QUATERNION, column_of
 from aridcal.inputs.quantities import POSITION
@@ -264,7 +264,7 @@ def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], columns: Col
     R_world_base = frames["world_base"].rotation
     vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
     target = frames["tip_target"].translation
-    payloads = hung(scenario, target)
+    payloads = scenario.question.payloads or (Payload(target),)
     return Surroundings(vector, payloads, payloads[0].name in columns, Sights(target[None]))
 
 

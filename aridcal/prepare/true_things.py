@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
-from aridcal.inputs.instrument_settings import WORLD, Label, LengthSettings, Placement
+from aridcal.inputs.instrument_settings import Label, LengthSettings, Placement
 from aridcal.inputs.things import Known
 from aridcal.inputs.yaml_file import Number, Positive, Section, Vector3
 from aridcal.instruments.camera import INTRINSICS
 from aridcal.instruments.joined import GRASP
+from aridcal.instruments.setup import WORLD
 
 Count = Annotated[int, Field(ge=1, le=100_000)]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.errors import MeasurementError, NotOfThisRobot
-from aridcal.fit.constants import constants, frame_coefficients, station_labels, unused_links
+from aridcal.fit.constants import asked_constants, station_labels, unused_links
 from aridcal.fit.flags import distance, robust_sigma
 from aridcal.fit.least_squares import Fit, fit
 from aridcal.fit.noise import Repeats, declared_notices, repeats
@@ -50,7 +50,7 @@ from aridcal.search.stated import CONFOUNDED, NO_BETTER
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.certainty import certainty
 from aridcal.trust.gains import explain
-from aridcal.trust.region import region
+from aridcal.trust.region import region, wanted
 from aridcal.trust.second_look import second_look
 from aridcal.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
 
@@ -149,18 +149,19 @@ def _calibrated(
 ) -> tuple[CalibratedArm, np.ndarray | None]:
     """The calibrated arm of a job, and the readings of the region that its campaign names; see :func:`identify`."""
     campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
-    labels = station_labels(campaign, rows)
-    check_memory(_size(campaign, robot, rows, labels), str(campaign.path), available_memory())
+    question = campaign.question
+    labels = station_labels(question, rows)
+    check_memory(_size(campaign, robot, rows), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")
     try:
-        geometry = fit_constants(campaign, robot, rows, labels, progress)
+        geometry = fit_constants(question, robot, rows, labels, progress)
     except NotOfThisRobot:
         judge(campaign, robot, rows, None)
         raise
     judge(campaign, robot, rows, geometry)
     where = region(campaign, geometry.geometric, rows.fitted)
     give_back()
-    return calibrated_arm(campaign, robot, rows, labels, geometry, progress), where
+    return calibrated_arm(question, robot, rows, labels, geometry, progress), where
 
 
 def _outcome(
@@ -183,12 +184,10 @@ def _outcome(
     traced = np.flatnonzero(~outlier)[stretches(kept.sequence, TRACED)]
     progress("fitting halves of the rows apart")
     again = second_look(stages[1].fit, diagnosed.fit, train, progress)
-    asked = frame_coefficients(campaign, station_labels(campaign, rows), rows) + constants(
-        robot, campaign.parameters.set
-    )
+    asked = asked_constants(campaign.question, robot, rows)
     progress("working out how well the target is known")
     give_back()
-    certain = certainty(campaign, final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
+    certain = certainty(wanted(campaign), final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     known_to = precision(final, train)
@@ -320,14 +319,14 @@ def _freedom(fit: Fit) -> float:
     return float(1.0 - fit.spent / max(fit.numbers, 1.0))
 
 
-def _size(campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> Size:
+def _size(campaign: Campaign, robot: Robot, rows: Dataset) -> Size:
     """How large the calibration will be."""
-    sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
+    question = campaign.question
     return Size(
-        coefficients=len(frame_coefficients(campaign, labels, rows)) + len(constants(robot, campaign.parameters.set)),
-        stations=len(labels),
+        coefficients=len(asked_constants(question, robot, rows)),
+        stations=len(station_labels(question, rows)),
         rows=len(rows),
-        searched=min(int(rows.train.sum()), SEARCHED) if sought else 0,
+        searched=min(int(rows.train.sum()), SEARCHED) if question.sought else 0,
         numbers=sum(channel.size for channel in rows.channels),
         joints=len(robot.joints),
     )

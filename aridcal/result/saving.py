@@ -18,11 +18,10 @@ from aridcal.fit.noise import contradicted
 from aridcal.fit.problem import problem
 from aridcal.fit.tails import Tails, tails_of
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.row_facts import Labels
 from aridcal.instruments.catalogue import KINDS as INSTRUMENTS
 from aridcal.instruments.channels import columns, norms, spread
-from aridcal.instruments.setup import Instruments
+from aridcal.instruments.setup import TIP, Instruments
 from aridcal.model.model import ONE_FRAME, Model
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel, SolvedModel

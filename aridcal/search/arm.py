@@ -6,15 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.effects.loads import PAYLOAD, Surroundings, is_load
-from aridcal.errors import CampaignError, shortened
+from aridcal.effects.loads import PAYLOAD, Payload, Surroundings, is_load
 from aridcal.fit.least_squares import PLENTY, Fit
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
 from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
+from aridcal.fit.question import DOWN, Question
 from aridcal.fit.residual import eliminated
 from aridcal.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
-from aridcal.inputs.campaign import Campaign, hung
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.catalogue import KINDS
@@ -28,9 +27,6 @@ from aridcal.search.diagnose import Diagnosed, diagnose, told_apart
 from aridcal.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.search.noise_tests import rms_of_channels
 from aridcal.showing import SILENT, Progress
-
-EARTH = np.array([0.0, 0.0, -9.81])
-"""Gravity in a levelled world, [m/s^2]."""
 
 CLEARER = 1.2
 """Times as much or as little as before that a row must count for, once effects are found, for another search: evidence does."""
@@ -88,7 +84,7 @@ class CalibratedArm:
 
 
 def calibrated_arm(
-    campaign: Campaign,
+    question: Question,
     robot: Robot,
     rows: Dataset,
     labels: tuple[str, ...],
@@ -104,10 +100,10 @@ def calibrated_arm(
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     if bodies > 1:
         rows = rows.with_repeats(share=1.0 / bodies)
-        geometry = fit_constants(campaign, robot, rows, labels, progress)
+        geometry = fit_constants(question, robot, rows, labels, progress)
 
     def fitted(data: Dataset, geometry: Geometry, before: Diagnosed | None = None) -> CalibratedArm:
-        arm = fit_arm(campaign, geometry, data, progress, before)
+        arm = fit_arm(question, geometry, data, progress, before)
         progress("asking what the scatter is made of")
         active = arm.diagnosed.found.state.active
         return replace(arm, causes=noise_causes(arm.diagnosed.fit, active, rows, progress, shapes=False))
@@ -119,7 +115,7 @@ def calibrated_arm(
             break
         progress("weighing rows of one place by how alike they err, and looking again")
         rows = rows.with_repeats(share=share)
-        geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
+        geometry = _around(fit_constants(question, robot, rows, labels, progress), geometry.geometric.model.around)
         arm = fitted(rows, geometry, arm.diagnosed)
     hung = _hung_again(arm)
     if hung is not None:
@@ -130,26 +126,21 @@ def calibrated_arm(
     if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
         progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
         rows = with_stated_noise(rows, moved.states)
-        geometry = _around(fit_constants(campaign, robot, rows, labels, progress), geometry.geometric.model.around)
+        geometry = _around(fit_constants(question, robot, rows, labels, progress), geometry.geometric.model.around)
         arm = fitted(rows, geometry, arm.diagnosed)
     if arm.causes is not None and arm.causes.relative is not None:
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
         around = geometry.geometric.model.around
-        again = _around(fit_constants(campaign, robot, weighed, labels, progress), around)
+        again = _around(fit_constants(question, robot, weighed, labels, progress), around)
         arm = fitted(weighed, again, arm.diagnosed)
     if arm.diagnosed.found.state.active and not is_better(arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted):
         progress("constants alone predict held-back rows as well: leaving the effects out")
-        arm = fit_arm(_quiet(campaign), arm.geometry, arm.rows, progress)
+        arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
-    return _nominal(campaign, arm, progress)
-
-
-def _quiet(campaign: Campaign) -> Campaign:
-    """The same campaign without a search: effects that it states stay."""
-    return campaign.model_copy(update={"diagnosis": campaign.diagnosis.model_copy(update={"enabled": False})})
+    return _nominal(question, arm, progress)
 
 
 def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
@@ -188,32 +179,32 @@ def _around(geometry: Geometry, around: Surroundings) -> Geometry:
     return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def _nominal(campaign: Campaign, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
-    """The nominal robot with its frames alone, and effects that the campaign states, in place of a calibrated arm."""
+def _nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
+    """The nominal robot with its frames alone, and effects that are stated, in place of a calibrated arm."""
     rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
     kept = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
-    arm = fit_arm(_quiet(campaign), Geometry(geometry.nominal, frames, kept, free), rows, progress)
+    arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, kept, free), rows, progress)
     causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
     return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
 
 
 def fit_constants(
-    campaign: Campaign, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
+    question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
 ) -> Geometry:
     """Frames and constants from the training rows, the frames at their identified place."""
-    found = fit_geometry(campaign, robot, rows.fitted, labels, progress)
+    found = fit_geometry(question, robot, rows.fitted, labels, progress)
     geometric = recentred(found.geometric)
-    around = surroundings(campaign, geometric.model, _loaded(campaign, rows))
+    around = surroundings(question, geometric.model, bool(question.payloads) or PAYLOAD in rows.covariates)
     around = replace(around, sights=sights_of(geometric.model, rows.fitted))
     return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
 def fit_arm(
-    campaign: Campaign,
+    question: Question,
     geometry: Geometry,
     rows: Dataset,
     progress: Progress,
@@ -222,45 +213,30 @@ def fit_arm(
     """Look for what the constants do not explain, on the training rows, and fit all together.
 
     Args:
-        campaign: Which effects are declared, and which kinds may be sought.
+        question: Which effects are stated, and which kinds may be sought.
         geometry: Fitted to the training rows.
         rows: All rows.
         progress: Called with what is being done.
         before: An earlier search, on other weights.
     """
     fit = geometry.geometric
-    found = diagnose(_quiet(campaign) if is_short(fit) else campaign, fit, rows.fitted, progress, before)
+    found = diagnose(question.without_search() if is_short(fit) else question, fit, rows.fitted, progress, before)
     return CalibratedArm(rows, geometry, found)
 
 
-def _loaded(campaign: Campaign, rows: Dataset) -> bool:
-    """True where the rows have payloads.
-
-    Raises:
-        CampaignError: one that the campaign names has no column.
-    """
-    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True)):
-        if name not in rows.covariates:
-            raise CampaignError(
-                f"{campaign.path}: {campaign.payload_key(number)}.column: the tables have no numeric column "
-                f"{shortened(payload.column)!r}; name the one of the mass, or delete the payload"
-            )
-    return bool(campaign.payload) or PAYLOAD in rows.covariates
-
-
-def surroundings(campaign: Campaign, model: Model, loaded: bool) -> Surroundings:
-    """Gravity in the base frame and the payloads' places, from the campaign and the geometric stage's frames.
+def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings:
+    """Gravity in the base frame and the payloads' places, from the question and the geometric stage's frames.
 
     Args:
-        campaign: Says where gravity pulls.
+        question: Says where gravity pulls.
         model: The geometric stage's, its frames where they were identified.
         loaded: True where the rows have payloads.
     """
-    gravity, payloads = campaign.robot.gravity, hung(campaign, model.tip_target[0][1].translation)
-    if gravity == "world":
-        vectors = [frame.rotation.T @ EARTH for _, frame in model.world_base]
-        return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], payloads, loaded)
-    return Surroundings(np.array(gravity, dtype=float), payloads, loaded)
+    payloads = question.payloads or (Payload(model.tip_target[0][1].translation),)
+    if question.gravity is not None:
+        return Surroundings(question.gravity, payloads, loaded)
+    vectors = [frame.rotation.T @ np.array(DOWN) for _, frame in model.world_base]
+    return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], payloads, loaded)
 
 
 def is_short(fit: Fit) -> bool:

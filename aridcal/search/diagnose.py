@@ -17,7 +17,7 @@ from aridcal.effects.unknown_kind import pair
 from aridcal.fit.flags import cluster, flagged, limits
 from aridcal.fit.least_squares import Fit, thin
 from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import Campaign
+from aridcal.fit.question import Question
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.measured import rows_of_data
 from aridcal.search.confounded import twins
@@ -97,7 +97,7 @@ class Diagnosed:
         observed: The same rows' covariates.
         found: The search's result.
         named: The candidates that have a name.
-        declared: Effects that the campaign states.
+        declared: Effects that are stated.
         barred: Candidates that could not be tested, and why.
         confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
         tied: How likely these are, and what the model is with each.
@@ -118,7 +118,7 @@ class Diagnosed:
 
 
 def diagnose(
-    campaign: Campaign,
+    question: Question,
     geometric: Fit,
     train: Dataset,
     progress: Progress = SILENT,
@@ -127,14 +127,14 @@ def diagnose(
     """Find the effects that the geometric model lacks, and fit all together.
 
     Args:
-        campaign: Which effects are declared, and which kinds may be sought.
+        question: Which effects are stated, and which kinds may be sought.
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         progress: Called with what is being done.
         before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, and not
             sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
     """
-    found = _diagnosed(campaign, geometric, train, None, progress, before)
+    found = _diagnosed(question, geometric, train, None, progress, before)
     searched = _thinned(Start(geometric, train, limits(train))).train
     if (
         any(not a.stated for a in found.found.state.active)
@@ -142,19 +142,19 @@ def diagnose(
         and (scatter := scatter_of(searched))
     ):
         progress("asking whether rows of one place err alike, in place of these effects")
-        beside = _diagnosed(campaign, geometric, train, None, progress, None, scatter)
+        beside = _diagnosed(question, geometric, train, None, progress, None, scatter)
         found = max(found, beside, key=partial(_evidence, scatter, found.found.state.used & beside.found.state.used))
     together = cluster(found.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return found
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    again = _diagnosed(campaign, geometric, train, together.rows, progress, replace(found, scattered=False))
+    again = _diagnosed(question, geometric, train, together.rows, progress, replace(found, scattered=False))
     left = int((again.fit.outliers & together.rows).sum())
     return again if left < EXPLAINED * together.rows.sum() else found
 
 
 def _diagnosed(
-    campaign: Campaign,
+    question: Question,
     geometric: Fit,
     train: Dataset,
     kept: np.ndarray | None,
@@ -165,7 +165,7 @@ def _diagnosed(
     """One search; see :func:`diagnose`.
 
     Args:
-        campaign: See there.
+        question: See there.
         geometric: See there.
         train: N rows.
         kept: Rows that count whatever they leave, shape (N,) bool: what they show may be structure.
@@ -177,11 +177,12 @@ def _diagnosed(
     start = _thinned(every)
     progress("listing the effects that these rows can show")
     observed, barred = look(start.geometric.model, start.train)
-    kinds = campaign.diagnosis.candidates if campaign.diagnosis.enabled else ()
-    stated = [declared(observed, d, str(campaign.path)) for d in campaign.effects]
+    stated = [declared(observed, d, str(question.source)) for d in question.effects]
     taken = {e.identity for e in stated}
-    named = [e for e in candidates(observed, tuple(k for k in kinds if KINDS[k].named)) if e.identity not in taken]
-    unnamed = candidates(observed, tuple(k for k in kinds if not KINDS[k].named))
+    named = [
+        e for e in candidates(observed, tuple(k for k in question.sought if KINDS[k].named)) if e.identity not in taken
+    ]
+    unnamed = candidates(observed, tuple(k for k in question.sought if not KINDS[k].named))
     if few_places(start.geometric.model, start.train):
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
         barred += [Barred(kind, FEW_PLACES) for kind in curves]
@@ -193,7 +194,7 @@ def _diagnosed(
     named = [e for e in named if place.linear.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    sought = [d.at is None for d in campaign.effects]
+    sought = [d.at is None for d in question.effects]
     state, lost = with_declared(place.linear, stated, sought, start.geometric)
     barred += lost + tied_to_frames(place.linear, state, named)
     beside = with_scatter(place.linear, state, scatter)

@@ -11,7 +11,6 @@ import numpy as np
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.noise import Repeats
-from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
 from aridcal.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
@@ -77,8 +76,23 @@ class Certainty:
         return all(part.within is not False for part in self.kept)
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """What the target is to be known for.
+
+    Attributes:
+        tool: A point that moves with the target, in its axes, [m].
+        tolerance: How far it may be off in 95 % of the region, [m], and turned, [rad]; None where nobody says.
+        title: The region in words.
+    """
+
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tolerance: tuple[float | None, float | None] = (None, None)
+    title: str = ""
+
+
 def certainty(
-    campaign: Campaign,
+    wanted: Wanted,
     fit: Fit,
     rows: Dataset,
     candidates: Sequence[Coefficient],
@@ -90,7 +104,7 @@ def certainty(
     """Say how well the target is known.
 
     Args:
-        campaign: Names a region, and a tolerance.
+        wanted: Of which point, and how well.
         fit: The final model.
         rows: All N rows.
         candidates: Constants that were asked for.
@@ -101,19 +115,19 @@ def certainty(
     """
     train = rows.fitted
     known = knowledge(fit, train, candidates)
-    tool = campaign.region.tool
+    tool = wanted.tool
     everywhere = spread_out(*ends(train, fit.model.robot.limits))
     anywhere = known.over(train, everywhere, _like(train, everywhere))
-    title = _title(campaign)
+    title = wanted.title
     if where is None:
         region, title = _seen(known, train, tool)
     else:
         region = known.over(train, where, _like(train, where), tool)
-    found, noise, asked = [], instrument_noise(fit, rows, repeats), campaign.tolerance
+    found, noise = [], instrument_noise(fit, rows, repeats)
     moves = known.columns(region.rows, np.asarray(tool, dtype=float))[1:]
     judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
     for turn, of in enumerate(("position", "rotation")):
-        tolerance = None if asked is None else getattr(asked, of)
+        tolerance = wanted.tolerance[turn]
         seen = rows.sees_turns or not turn
         left = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if seen else None
         answer = kept(known, region, moves, left, tolerance, bool(turn))
@@ -159,12 +173,6 @@ def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
         if len(near):
             found.append(Slice(axes, float(middle[across]), known.over(train, readings[near], like[near])))
     return tuple(found)
-
-
-def _title(campaign: Campaign) -> str:
-    """The region that a campaign names, in words."""
-    asked = campaign.region
-    return "the joint ranges named" if asked.file is None else f"the places of {asked.file.name}"
 
 
 def as_document(known: Certainty) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from aridcal.inputs.query import load_query
 from aridcal.inputs.tables import read_tables
 from aridcal.model.reaching import brought
 from aridcal.robot.chain import Robot
+from aridcal.trust.certainty import Wanted
 from aridcal.trust.workspace import SAMPLES, spread_out
 
 Reach = Callable[[np.ndarray], np.ndarray]
@@ -100,6 +101,13 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     if len(readings) <= SAMPLES:
         return readings
     return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
+
+
+def wanted(campaign: Campaign) -> Wanted:
+    """What a campaign wants the target known for."""
+    asked, tolerance = campaign.region, campaign.tolerance
+    title = "the joint ranges named" if asked.file is None else f"the places of {asked.file.name}"
+    return Wanted(asked.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title)
 
 
 def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

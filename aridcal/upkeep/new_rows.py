@@ -16,7 +16,7 @@ from aridcal.inputs.approach import with_directions
 from aridcal.inputs.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.inputs.counting import check_joints
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP, InstrumentSettings
+from aridcal.inputs.instrument_settings import InstrumentSettings
 from aridcal.inputs.orientations import column_of
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.read import ONE_TARGET, load_measurements, own_target
@@ -24,7 +24,7 @@ from aridcal.inputs.tables import AnyTable, read_tables
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import Channels
-from aridcal.instruments.setup import Instruments
+from aridcal.instruments.setup import TIP, Instruments
 from aridcal.reading.names import check_path
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.drive import NOTHING

@@ -13,7 +13,7 @@ import numpy as np
 
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP
+from aridcal.instruments.setup import TIP
 from aridcal.model.model import Frames, Model
 from aridcal.result.saved_model import SolvedModel
 from aridcal.trust.wander import zero_of

@@ -14,12 +14,12 @@ import pinocchio as pin
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
-from aridcal.fit.stages import placement
 from aridcal.fit.thing_starts import beginning
 from aridcal.inputs.campaign import Frames as FrameChoice
+from aridcal.inputs.campaign import placed
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.instrument_settings import TIP
 from aridcal.inputs.read import ONE_TARGET
+from aridcal.instruments.setup import TIP
 from aridcal.model.measured import measured, rows_of_data
 from aridcal.model.model import ONE_FRAME, Model
 from aridcal.result.saved_model import SolvedModel
@@ -135,9 +135,9 @@ def _as_stated(model: Model, where: str, frames: FrameChoice, rows: Dataset) -> 
             "delete the key"
         )
     if not settings.identify or {"xyz", "rpy"} & settings.model_fields_set:
-        held[label] = placement(settings)
-    placed = tuple(held.items())
-    moved = replace(model, world_base=placed) if where == "world_base" else replace(model, tip_target=placed)
+        held[label] = placed(settings).at
+    known = tuple(held.items())
+    moved = replace(model, world_base=known) if where == "world_base" else replace(model, tip_target=known)
     return moved, (where, label), settings.identify
 
 
