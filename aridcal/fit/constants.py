@@ -8,7 +8,7 @@ import pinocchio as pin
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.errors import RobotError
 from aridcal.fit.least_squares import Fit
-from aridcal.fit.question import Placement, Question
+from aridcal.fit.question import EndFrame, Question
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.setup import TIP
 from aridcal.model.model import Model
@@ -41,7 +41,7 @@ def asked_constants(question: Question, robot: Robot, data: Dataset) -> tuple[Co
     return frame_coefficients(question, labels, data) + constants(robot, question.constants)
 
 
-def frame_labels(where: str, frame: Placement, labels: tuple[str, ...], data: Dataset) -> tuple[str | None, ...]:
+def frame_labels(where: str, frame: EndFrame, labels: tuple[str, ...], data: Dataset) -> tuple[str | None, ...]:
     """Labels of the frames at one end of the chain: stations, targets, or none where one frame serves all rows."""
     if frame.by_station:
         return labels

@@ -17,7 +17,7 @@ DOWN = (0.0, 0.0, -9.81)
 
 
 @dataclass(frozen=True)
-class Placement:
+class EndFrame:
     """A frame at one end of the chain.
 
     Attributes:
@@ -48,9 +48,9 @@ class Question:
         source: Who asks, for messages: the file of a campaign.
     """
 
-    world_base: Placement = Placement()
-    tip_target: Placement = Placement()
-    targets: Mapping[str, Placement] = field(default_factory=dict)
+    world_base: EndFrame = EndFrame()
+    tip_target: EndFrame = EndFrame()
+    targets: Mapping[str, EndFrame] = field(default_factory=dict)
     target_on: Mapping[str, str] = field(default_factory=dict)
     constants: str = "full"
     gravity: np.ndarray | None = field(default_factory=lambda: np.array(DOWN))
@@ -64,7 +64,7 @@ class Question:
         """True where a frame is one for each station, so that every row must say at which it is."""
         return self.world_base.by_station or self.tip_target.by_station
 
-    def target(self, label: str | None) -> Placement:
+    def target(self, label: str | None) -> EndFrame:
         """The frame of a target by its label; one that no key names has the hint of all."""
         return self.targets.get(str(label), self.tip_target)
 

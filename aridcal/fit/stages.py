@@ -16,7 +16,7 @@ from aridcal.fit.flags import robust_sigma
 from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
-from aridcal.fit.question import Placement, Question
+from aridcal.fit.question import EndFrame, Question
 from aridcal.fit.thing_starts import beginning
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
@@ -218,7 +218,7 @@ def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray)
     )
 
 
-def _frame_of_each_row(frame: Placement, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
     """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
     if not frame.by_station:
         return np.zeros(len(train), dtype=int)
@@ -228,7 +228,7 @@ def _frame_of_each_row(frame: Placement, train: Dataset, labels: tuple[str, ...]
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
 
 
-def _labelled(frame: Placement, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
+def _labelled(frame: EndFrame, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
     names: tuple[str | None, ...] = labels if frame.by_station else (None,)
     return tuple(zip(names, placements, strict=True))
 

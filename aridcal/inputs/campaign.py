@@ -22,7 +22,7 @@ from pydantic import (
 from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.loads import PAYLOAD, Payload
 from aridcal.errors import CampaignError, nearest, shortened
-from aridcal.fit.question import Placement, Question
+from aridcal.fit.question import EndFrame, Question
 from aridcal.inputs.counting import check_joints
 from aridcal.inputs.instrument_settings import InstrumentSettings, TargetSettings
 from aridcal.inputs.measurement_settings import (
@@ -138,11 +138,11 @@ class FrameSettings(Section):
         return self
 
 
-def placed(settings: FrameSettings | TargetSettings) -> Placement:
+def placed(settings: FrameSettings | TargetSettings) -> EndFrame:
     """A frame as a campaign states it."""
     at = pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
     by_station = isinstance(settings, FrameSettings) and settings.per is not None
-    return Placement(at, settings.identify, by_station)
+    return EndFrame(at, settings.identify, by_station)
 
 
 class Frames(Section):
