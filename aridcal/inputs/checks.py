@@ -10,8 +10,9 @@ import numpy as np
 from aridcal.errors import MeasurementError
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.measurement_settings import FAR
-from aridcal.inputs.quantities import FINEST, POSITION, STD, TURNS, Source
+from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
 from aridcal.inputs.repeats import first_alike, tolerances
+from aridcal.inputs.yaml_file import FINEST
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.robot.chain import JointKind
 
@@ -78,7 +79,12 @@ def _line(source: Source, there: int, here: int) -> str:
 
 
 def stale_rows(
-    source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray, sequence: np.ndarray
+    source: Source,
+    q: np.ndarray,
+    kinds: Sequence[JointKind],
+    measured: np.ndarray,
+    sequence: np.ndarray,
+    noted: bool,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
@@ -88,27 +94,21 @@ def stale_rows(
         kinds: Of each.
         measured: What was measured, shape (N, numbers).
         sequence: Numbers of the rows as they were measured, shape (N,).
+        noted: True if they are named among the notices.
 
     Returns:
-        For each row the earlier one that it repeats so, -1 if none, and whether it is one of such rows, the earliest
-        included; shape (N,) each.
+        Rows that repeat an earlier one so, and these with the earliest included; shape (N,) bool each.
     """
     rows = sequence[source.usable[sequence]]
     first = rows[first_alike(column[rows] for column in measured.T)]
     moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
-    earlier = np.full(len(q), -1)
-    earlier[rows[moved]] = first[moved]
-    shared = np.zeros(len(q), dtype=bool)
-    shared[rows] = np.isin(first, first[moved])
-    return earlier, shared
-
-
-def note_stale(source: Source, earlier: np.ndarray) -> None:
-    """Name the rows that :func:`stale_rows` found."""
-    for row in np.flatnonzero(earlier >= 0).tolist():
-        line = _line(source, int(earlier[row]), row)
+    stale, shared = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
+    stale[rows], shared[rows] = moved, np.isin(first, first[moved])
+    for row, earlier in sorted(zip(rows[moved].tolist(), first[moved].tolist(), strict=True)) if noted else ():
+        line = _line(source, earlier, row)
         why = f"repeats the pose of {line} exactly although the joints moved: a stale measurement?"
         source.notices.append(source.table.remark(row, "", why))
+    return stale, shared
 
 
 def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind]) -> None:

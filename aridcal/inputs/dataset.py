@@ -300,14 +300,13 @@ def dataset(
         stale: See :class:`Dataset`; default: none.
         test: Held-out rows, shape (N,); default: none.
     """
-    n, kind = len(readings), kind_of_places(rotation)
-    stated = tuple(sigma)[: len(kind.channels)] or (None,) * len(kind.channels)
+    n = len(readings)
     nothing = np.zeros(n, dtype=bool)
     made = Dataset(
         names=tuple(names),
         kinds=tuple(kinds),
         readings=readings,
-        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        blocks=(_tracked(rotation, sigma),),
         observed=pose_numbers(position, rotation),
         relative=None,
         covariates=dict(covariates or {}),
@@ -328,13 +327,19 @@ def dataset(
     return made if noise is None else weighed(made, noise)
 
 
+def _tracked(rotation: np.ndarray | None, sigma: Sequence[float | None]) -> Block:
+    """A block of poses, or of positions where there are no rotations, with its declared noise as far as that goes."""
+    kind = kind_of_places(rotation)
+    count = len(kind.channels)
+    return Block(kind.name, kind.name, kind.channels, (*sigma, *count * (None,))[:count])
+
+
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
-    kind, nothing = kind_of_places(rotation), untold(len(data))
-    stated = (*data.sigma, *(None,) * len(kind.channels))[: len(kind.channels)]
+    nothing = untold(len(data))
     return replace(
         data,
-        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        blocks=(_tracked(rotation, data.sigma),),
         observed=pose_numbers(position, rotation),
         instruments=Instruments(),
         labels=replace(data.labels, block=nothing.block, refers=nothing.refers),
@@ -345,14 +350,15 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
     """The same rows with what is known of their noise; the split must be final, for the training rows set the scale."""
     if noise.covariance is not None:
         std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
-        typical = _typical(std[data.train], data.channels)
-        relative = factors(noise.covariance, typical, data.channels)
     elif noise.std is not None:
         std = noise.std
-        typical = _typical(std[data.train], data.channels)
-        relative = std / spread(typical, data.channels)
     else:
         return replace(data, relative=None)
+    typical = _typical(std[data.train], data.channels)
+    if noise.covariance is not None:
+        relative = factors(noise.covariance, typical, data.channels)
+    else:
+        relative = std / spread(typical, data.channels)
     data = replace(data, relative=relative)
     return with_sigma(data, typical.tolist()) if noise.absolute else data
 

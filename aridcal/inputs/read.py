@@ -15,7 +15,6 @@ from aridcal.inputs.checks import (
     check_distances,
     check_units,
     note_limits,
-    note_stale,
     nothing_usable,
     refuse_copies,
     refuse_impossible_readings,
@@ -29,7 +28,7 @@ from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats, untold
-from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
+from aridcal.inputs.split import draw_split, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Kind
@@ -113,21 +112,17 @@ def load_measurements(
     asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
     parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
-    if not require_pose or _direct(campaign, parts[0].rows):
-        rows = parts[0].rows
-        if fitted:
-            rows = with_training_rows(rows, per_station(campaign), np.full(len(rows), not rows.origin.split_given))
-        return weighed(rows, parts[0].noise)
-    if not fitted:
+    direct = not require_pose or _direct(campaign, parts[0].rows)
+    if not (direct or fitted):
         there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
-    rows = _targets_told(campaign, together([part.rows for part in parts]))
+    rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
     if fitted:
         drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
         rows = with_training_rows(rows, per_station(campaign), drawn)
-        rows = with_training_labels(rows, drawn)
-    rows = weighed_apart(rows, [part.noise for part in parts])
-    return _with_instruments(rows, asked)
+    if direct:
+        return weighed(rows, parts[0].noise)
+    return _with_instruments(weighed_apart(rows, [part.noise for part in parts]), asked)
 
 
 def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> _Part:
@@ -208,13 +203,10 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     check_units(source, q, asked.limits, kinds, position if of_target else None)
     check_distances(source, observed)
     note_limits(source, q, asked.limits, kinds)
-    stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
+    stale = doubtful = np.zeros(len(table), dtype=bool)
     if of_target:
-        parts = [position] if quaternion is None else [position, quaternion]
-        stale, doubtful = stale_rows(source, q, kinds, np.hstack(parts), sequence)
-    if quaternion is not None:
-        note_stale(source, stale)
-    if of_target:
+        measured = position if quaternion is None else np.hstack([position, quaternion])
+        stale, doubtful = stale_rows(source, q, kinds, measured, sequence, noted=quaternion is not None)
         observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
@@ -232,7 +224,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
             station=station,
             target=target if asked.require_pose else None,
         ),
-        repeats=Repeats(np.zeros(len(table), dtype=int), stale >= 0, doubtful),
+        repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
         origin=Origin(
             file=table.file,
             line=table.line,
@@ -372,7 +364,7 @@ def _declared_cameras(source: Source, words: np.ndarray, known: Known) -> np.nda
     return np.where(unknown, cameras[0], words)
 
 
-def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
+def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
     """The rows with a label of their target, where there is more than one.
 
     Raises:
@@ -502,12 +494,15 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
     Raises:
         MeasurementError: a table that is given in place of the campaign's own may be of any block or of none.
     """
-    if len(campaign.blocks) == 1:
-        return [(0, campaign.tables if files is None else files)]
     if files is None and not campaign.has_other_tables:
         return [(number, block.files) for number, block in enumerate(campaign.blocks)]
-    found: dict[int, list[AnyTable]] = {}
-    for table in campaign.tables if files is None else files:
+    tables = campaign.tables if files is None else files
+    if len(campaign.blocks) == 1:
+        return [(0, tables)]
+    from aridcal.inputs.tables import path_of  # as above
+
+    of_block: dict[int, list[AnyTable]] = {}
+    for table in tables:
         having = [k for k, block in enumerate(campaign.blocks) if block.needs <= _names(table, block, campaign)]
         needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
@@ -515,11 +510,11 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
             what = f"{'several' if most else 'none'} of the blocks {titles}"
             raise MeasurementError(
-                f"{table if isinstance(table, str | Path) else 'DataFrame'}: its columns fit {what}; give it the columns of "
-                "one, and that one columns that no other has (`columns`)"
+                f"{path_of(table)}: its columns fit {what}; give it the columns of one, and that one columns that no other "
+                "has (`columns`)"
             )
-        found.setdefault(most[0], []).append(table)
-    return sorted(found.items())
+        of_block.setdefault(most[0], []).append(table)
+    return sorted(of_block.items())
 
 
 def _names(table: AnyTable, settings: MeasurementSettings, campaign: Campaign) -> set[str]:

@@ -115,16 +115,12 @@ def labels_together(labels: Sequence[np.ndarray | None], counts: Sequence[int]) 
 
 def origins_together(parts: Sequence[Origin], sha256: str) -> Origin:
     """Where the rows of several parts come from, one part after the other, their order counted on."""
-    order, file, files, last = [], [], 0, 0.0
-    for part in parts:
-        order.append(part.order + last)
-        last += float(part.order[np.isfinite(part.order)].max(initial=0.0))
-        file.append(part.file + files)
-        files += len(part.files)
+    files = np.cumsum([0, *(len(part.files) for part in parts)])
+    last = np.cumsum([0.0, *(part.order[np.isfinite(part.order)].max(initial=0.0) for part in parts)])
     return Origin(
-        file=np.concatenate(file),
+        file=np.concatenate([part.file + before for part, before in zip(parts, files, strict=False)]),
         line=np.concatenate([part.line for part in parts]),
-        order=np.concatenate(order),
+        order=np.concatenate([part.order + before for part, before in zip(parts, last, strict=False)]),
         files=tuple(path for part in parts for path in part.files),
         sha256=sha256,
         refused=tuple(remark for part in parts for remark in part.refused),

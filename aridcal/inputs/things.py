@@ -24,7 +24,7 @@ from aridcal.inputs.instrument_settings import (
     PlaneSettings,
 )
 from aridcal.inputs.measurement_settings import FAR
-from aridcal.inputs.yaml_file import LARGEST
+from aridcal.inputs.yaml_file import FINEST, LARGEST
 from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
@@ -34,9 +34,6 @@ from aridcal.reading.names import check_name
 
 BOARD = "board_on_"
 """A board is called after what carries it."""
-
-LEAST_STD = 1e-12
-"""[m] Smallest sigma of a known point: smaller ones cannot be divided by."""
 
 RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
@@ -88,7 +85,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
             raise MeasurementError(str(table.remark(row, key, why)))
         for name, value in zip(numbers, cells.tolist(), strict=True):
             exact = name == "std" and table.cell(row, name).strip() == ""
-            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= LEAST_STD)):
+            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= FINEST)):
                 what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
                 raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
@@ -391,18 +388,10 @@ def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -
     """True where anything is known in the world frame, or was measured in it."""
     if any(rows.kind.tracked for rows in blocks):
         return True
-    place = {
-        "point": slice(0, 3),
-        "anchor": slice(0, 3),
-        "plane": slice(0, 3),
-        "camera": slice(0, 6),
-        "board": slice(0, 6),
-    }
-    for name, of_role in things.items():
-        for label, free, std in zip(of_role.names, of_role.free, of_role.std, strict=True):
-            of_board = name == "board" and label not in known.boards
-            if name in place and known.carrier(name, label) == WORLD and not of_board:
-                part = place[name]
-                if not (free[part] & ~np.isfinite(std[part])).any():
-                    return True
+    size = {"point": 3, "anchor": 3, "plane": 3, "camera": 6, "board": 6}  # of the place among what may be identified
+    for name in size.keys() & things.keys():
+        unknown = (things[name].free & ~np.isfinite(things[name].std))[:, : size[name]].any(axis=1)
+        for label in np.array(things[name].names)[~unknown].tolist():
+            if known.carrier(name, label) == WORLD and (name != "board" or label in known.boards):
+                return True
     return False

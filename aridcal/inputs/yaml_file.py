@@ -45,6 +45,9 @@ LARGEST_NUMBER = 1e15
 LARGEST = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
 
+FINEST = 1e-12
+"""[m], [rad], [px]: no length and no sigma is smaller; these could not be divided by."""
+
 TEXT = "tag:yaml.org,2002:str"
 
 Location = tuple[str | int, ...]
@@ -90,8 +93,8 @@ RelativePath = Annotated[Path, BeforeValidator(_path)]
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
-Positive = Annotated[float, Field(ge=1e-12, le=LARGEST)]
-"""A length, a focal length or a sigma: smaller ones cannot be divided by."""
+Positive = Annotated[float, Field(ge=FINEST, le=LARGEST)]
+"""A length, a focal length or a sigma."""
 
 Vector3 = tuple[Number, Number, Number]
 
