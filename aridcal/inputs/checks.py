@@ -14,7 +14,6 @@ from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
 from aridcal.inputs.repeats import first_alike, tolerances
 from aridcal.inputs.yaml_file import FINEST
 from aridcal.instruments.catalogue import KINDS as MEASURED
-from aridcal.robot.chain import JointKind
 
 # A limit may be printed with few digits, [rad] or [m].
 LIMIT_SLACK = 1e-5
@@ -79,19 +78,13 @@ def _line(source: Source, there: int, here: int) -> str:
 
 
 def stale_rows(
-    source: Source,
-    q: np.ndarray,
-    kinds: Sequence[JointKind],
-    measured: np.ndarray,
-    sequence: np.ndarray,
-    noted: bool,
+    source: Source, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
     Args:
         source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
-        kinds: Of each.
         measured: What was measured, shape (N, numbers).
         sequence: Numbers of the rows as they were measured, shape (N,).
         noted: True if they are named among the notices.
@@ -101,7 +94,7 @@ def stale_rows(
     """
     rows = sequence[source.usable[sequence]]
     first = rows[first_alike(column[rows] for column in measured.T)]
-    moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
+    moved = (np.abs(q[rows] - q[first]) > tolerances(source.kinds)).any(axis=1)
     stale, shared = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
     stale[rows], shared[rows] = moved, np.isin(first, first[moved])
     for row, earlier in sorted(zip(rows[moved].tolist(), first[moved].tolist(), strict=True)) if noted else ():
@@ -111,18 +104,11 @@ def stale_rows(
     return stale, shared
 
 
-def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind]) -> None:
-    """Name the readings outside their joint's limits.
-
-    Args:
-        source: The table.
-        q: Readings, shape (N, columns), [rad] or [m].
-        limits: Of each, shape (columns, 2).
-        kinds: Of each; limits of a ``continuous`` joint count whole turns.
-    """
+def note_limits(source: Source, q: np.ndarray) -> None:
+    """Name the readings outside their joint's limits; they are of shape (N, columns), [rad] or [m]."""
     rows = np.flatnonzero(source.usable)
-    for k, (joint, kind) in enumerate(zip(source.joint_names, kinds, strict=True)):
-        (low, high), reading = limits[k], q[rows, k]
+    for k, (joint, kind) in enumerate(zip(source.joint_names, source.kinds, strict=True)):
+        (low, high), reading = source.limits[k], q[rows, k]
         above, below = reading - high, low - reading
         beyond = np.maximum(below, above)
         if kind == "continuous" and np.isfinite([low, high]).all():
@@ -133,25 +119,21 @@ def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequen
             source.notices.append(source.table.remark(row, source.joint_columns[k], why))
 
 
-def check_units(
-    source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind], position: np.ndarray | None
-) -> None:
+def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> None:
     """Refuse data that cannot be in the stated units, and mention what may not be.
 
     Args:
-        source: The table.
+        source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
-        limits: Of each, shape (columns, 2).
-        kinds: Of each.
         position: Of the target, shape (N, 3), [m], if it was measured.
 
     Raises:
         MeasurementError: most rows are where no robot can be.
     """
     q = np.nan_to_num(q[source.usable])
-    turning = np.array([kind != "prismatic" for kind in kinds], dtype=bool)
-    endless = np.array([kind == "continuous" for kind in kinds], dtype=bool)
-    _refuse_impossible(source, q, np.where(endless[:, None], [-np.inf, np.inf], limits), turning)
+    turning = np.array([kind != "prismatic" for kind in source.kinds], dtype=bool)
+    endless = np.array([kind == "continuous" for kind in source.kinds], dtype=bool)
+    _refuse_impossible(source, q, np.where(endless[:, None], [-np.inf, np.inf], source.limits), turning)
     _note_odd_angles(source, np.abs(q[:, turning]))
     if position is not None:
         _check_positions(source, position[source.usable], np.ptp(q[:, turning], axis=0))

@@ -69,6 +69,8 @@ class Source:
         table: The cells.
         settings: Which column holds which quantity, in which unit.
         joint_names: Joints whose readings are columns of the table.
+        kinds: Kind of each joint: prismatic ones are in units of length; limits of a ``continuous`` one count whole turns.
+        limits: Lower and upper limit of each joint, shape (columns, 2), [rad] or [m].
         origin: The file that the settings come from, for messages.
         stated: Joints of which `robot.joints` or `robot.coupled` says where they are: they have no column.
         usable: Rows in which nothing needed was wrong so far, shape (N,) bool.
@@ -80,6 +82,8 @@ class Source:
     table: Table
     settings: MeasurementSettings
     joint_names: tuple[str, ...]
+    kinds: Sequence[JointKind]
+    limits: np.ndarray
     origin: str
     stated: Collection[str] = ()
     usable: np.ndarray = field(init=False)
@@ -142,11 +146,10 @@ class Source:
         """Say something about a column, or about the whole table."""
         self.notices.append(Remark(self.table.files[0].name, None, column, "", why))
 
-    def joints(self, kinds: Sequence[JointKind], needed: np.ndarray | None = None) -> np.ndarray:
+    def joints(self, needed: np.ndarray | None = None) -> np.ndarray:
         """All readings, shape (N, columns), [rad] or [m]; rows that lack one that they need are refused.
 
         Args:
-            kinds: Of each joint: prismatic ones are in units of length.
             needed: Which joints a row needs, shape (N, columns) bool: the others are 0 where a cell is empty; None: all.
 
         Raises:
@@ -157,17 +160,17 @@ class Source:
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(columns, advice)
         if needed.all():
-            own = counting(self.settings, self.joint_names, kinds)
+            own = counting(self.settings, self.joint_names, self.kinds)
             return own.of_shown(self.needed(columns, own.unit))
-        q = self.seeds(kinds)
+        q = self.seeds()
         for k, name in enumerate(self.joint_columns):
             self.refuse(needed[:, k] & np.isnan(q[:, k]), name, "not a number, and the joint is on the row's path")
         return np.where(np.isnan(q), 0.0, q)
 
-    def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
+    def seeds(self) -> np.ndarray:
         """Readings where there are some, NaN elsewhere; nothing is refused."""
         values = np.full((len(self.table), len(self.joint_names)), np.nan)
-        own = counting(self.settings, self.joint_names, kinds)
+        own = counting(self.settings, self.joint_names, self.kinds)
         for k, name in enumerate(self.joint_columns):
             if name in self.table.cells:
                 self._take([name])

@@ -148,8 +148,8 @@ def load_query(
     table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
-    source = Source(table, settings, tuple(readings), table.title, stated)
-    q = source.seeds(kinds) if poses else source.joints(kinds)
+    source = Source(table, settings, tuple(readings), kinds, limits, table.title, stated)
+    q = source.seeds() if poses else source.joints()
     position, quaternion = None, None
     if poses and not settings.traits.place_alone:
         position, quaternion = source.pose()
@@ -167,8 +167,8 @@ def load_query(
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)
     if source.usable.any():
-        check_units(source, q, limits, kinds, position)
-        note_limits(source, q, limits, kinds)
+        check_units(source, q, position)
+        note_limits(source, q)
     for values in (q, position, quaternion):
         if values is not None:
             values[~source.usable] = np.nan

@@ -156,11 +156,12 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
 
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
-    source = Source(table, settings, asked.readings, str(campaign.path), campaign.robot.stated.names)
+    stated = campaign.robot.stated.names
+    source = Source(table, settings, asked.readings, kinds, asked.limits, str(campaign.path), stated)
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
-    q = source.joints(kinds) if asked.robot is None else np.zeros((len(table), len(kinds)))
+    q = source.joints() if asked.robot is None else np.zeros((len(table), len(kinds)))
     of_target = asked.require_pose and settings.traits.tracked
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
@@ -182,7 +183,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
-        q = source.joints(kinds, needed_columns(asked.robot, paths))
+        q = source.joints(needed_columns(asked.robot, paths))
     by_station = per_station(campaign) and (of_target or alone)
     station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
@@ -200,13 +201,13 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     refuse_copies(source, held, labels, sequence)  # without the time: the same pose later is a copy, too
     if not source.usable.any():
         raise nothing_usable(source)
-    check_units(source, q, asked.limits, kinds, position if of_target else None)
+    check_units(source, q, position if of_target else None)
     check_distances(source, observed)
-    note_limits(source, q, asked.limits, kinds)
+    note_limits(source, q)
     stale = doubtful = np.zeros(len(table), dtype=bool)
     if of_target:
         measured = position if quaternion is None else np.hstack([position, quaternion])
-        stale, doubtful = stale_rows(source, q, kinds, measured, sequence, noted=quaternion is not None)
+        stale, doubtful = stale_rows(source, q, measured, sequence, noted=quaternion is not None)
         observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
@@ -334,7 +335,7 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
 
 def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
     """Label of all rows of a block whose table has no such column: the only thing that the campaign names, or the block's own."""
-    declared = campaign.instruments.declared[role]
+    declared = list(campaign.instruments.declared[role])
     if role == "camera" and settings.camera is not None:
         return settings.camera
     alike = [block for block in campaign.blocks if block.kind == settings.kind]

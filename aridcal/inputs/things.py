@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -37,6 +37,9 @@ BOARD = "board_on_"
 
 RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
+
+UNDECLARED = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
+"""Of what nothing is stated; nothing sees through a camera that is not declared."""
 
 HAVE_LENGTHS = ("point", "anchor", "marker")
 """Things between which a length may be known."""
@@ -124,19 +127,15 @@ class Known:
 
     def carrier(self, role: str, label: str) -> str:
         """What carries a thing: ``tip``, ``world`` or a link."""
-        settings = self.settings
-        if role == "anchor" and label in settings.anchors:
-            return settings.anchors[label].on
-        if role == "plane" and label in settings.planes:
-            return settings.planes[label].on
-        if role == "camera":
-            return settings.cameras[label].on
+        declared = self.settings.declared.get(role, {})
+        if label in declared:
+            return declared[label].on
         if role == "board":
             return label.removeprefix(BOARD)
         if role == GRASP.name:
             return ""  # links that its block names
         if role == "point":
-            return (label in self.points and self.points[label].on) or settings.points.on
+            return (label in self.points and self.points[label].on) or self.settings.points.on
         return WORLD
 
     def linked(self, role: str, label: str) -> bool:
@@ -151,17 +150,11 @@ class Known:
             label: Its name.
             on_board: True of markers of the board.
         """
-        settings = self.settings
         if role == TRACKER:
             return [0.0] * role.size, [False] * len(role.components), np.inf
-        if role.name == "anchor":
-            anchor = settings.anchors.get(label, AnchorSettings())
-            return anchor.state, anchor.free, np.inf
-        if role.name == "plane":
-            plane = settings.planes.get(label, PlaneSettings())
-            return plane.state, plane.free, np.inf
-        if role.name == "camera":
-            return settings.cameras[label].state, settings.cameras[label].free, np.inf
+        if role.name in self.settings.declared:
+            thing = self.settings.declared[role.name].get(label) or UNDECLARED[role.name]
+            return thing.state, thing.free, np.inf
         if role == GRASP:
             return Placement().place(known=False), 6 * [True], np.inf
         if role.name == "board":
@@ -375,9 +368,9 @@ def _too_few(
 
 def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]:
     """Things of which the campaign knows something and the rows nothing; of a board not all markers need be seen."""
-    of_role = {"point": tuple(known.points), **known.settings.declared}
+    of_role: dict[str, Mapping[str, object]] = {"point": known.points, **known.settings.declared}
     if "marker" not in seen:
-        of_role["marker"] = tuple(known.markers)
+        of_role["marker"] = known.markers
     for role, labels in of_role.items():
         absent = sorted(set(labels) - set(seen.get(role, ())))
         if absent:
