@@ -408,11 +408,8 @@ class Campaign(Job):
 
     def with_tolerance(self, position: float) -> Campaign:
         """The same campaign with another tolerance of the position, [m]."""
-        before = self.tolerance
-        rotation = None if before is None else before.rotation
-        return self.model_copy(
-            update={"tolerance": ToleranceSettings.model_construct(position=position, rotation=rotation)}
-        )
+        tolerance = self.tolerance or ToleranceSettings.model_construct(position=position)
+        return self.model_copy(update={"tolerance": tolerance.model_copy(update={"position": position})})
 
     def with_tables(self, tables: Sequence[str | Path | pd.DataFrame]) -> Campaign:
         """The same campaign with other measurements, of the same columns and units."""

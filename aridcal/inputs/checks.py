@@ -13,7 +13,6 @@ from aridcal.inputs.measurement_settings import FAR
 from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
 from aridcal.inputs.repeats import first_alike, tolerances
 from aridcal.inputs.yaml_file import FINEST
-from aridcal.instruments.catalogue import KINDS as MEASURED
 
 # A limit may be printed with few digits, [rad] or [m].
 LIMIT_SLACK = 1e-5
@@ -216,4 +215,4 @@ def check_distances(source: Source, observed: np.ndarray) -> None:
     if (settings.traits.ranges or settings.traits.gauges) and observed.shape[1]:
         read = np.abs(observed[source.usable, 0])
         if np.median(read) > LONG:
-            raise source.wrong_unit([source.column(MEASURED[settings.kind].read[0])], "length", float(read.max()))
+            raise source.wrong_unit([source.column(settings.traits.read[0])], "length", float(read.max()))

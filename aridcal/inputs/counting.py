@@ -45,12 +45,7 @@ class Counting:
 
 
 def counting(settings: MeasurementSettings, readings: Sequence[str], kinds: Sequence[str]) -> Counting:
-    """How the tables of a block count the joints.
-
-    Args:
-        settings: Of the block.
-        readings: Names of the joints.
-        kinds: Of each.
+    """How the tables of a block count joints of these names and kinds.
 
     Raises:
         CampaignError: the unit of a column is one of something else.
@@ -65,12 +60,7 @@ def counting(settings: MeasurementSettings, readings: Sequence[str], kinds: Sequ
 
 
 def check_on_chain(names: Iterable[str], key: str, readings: Sequence[str]) -> None:
-    """Make sure that a key speaks of joints of the robot.
-
-    Args:
-        names: Of which it speaks.
-        key: For messages.
-        readings: Names of the joints.
+    """Make sure that the names under a key are those of joints of the robot.
 
     Raises:
         CampaignError: naming the key.
@@ -83,13 +73,13 @@ def check_on_chain(names: Iterable[str], key: str, readings: Sequence[str]) -> N
 
 
 def check_joints(settings: MeasurementSettings, place: str, readings: Sequence[str], kinds: Sequence[str]) -> None:
-    """Make sure that `joints` speaks of joints of the robot, each in a unit of its own.
+    """Make sure that `joints` of a block speaks of joints of the robot, each in a unit of its own.
 
     Args:
-        settings: Of a block.
+        settings: Of the block.
         place: The campaign's file and the key of the block, for messages.
-        readings: Names of the joints.
-        kinds: Of each.
+        readings: Names of the robot's joints.
+        kinds: Kind of each.
 
     Raises:
         CampaignError: naming the key.

@@ -165,12 +165,8 @@ class Dataset:
             return self
         repeats = selected(self.repeats, rows)
         return replace(
-            self,
-            readings=self.readings[rows],
-            observed=self.observed[rows],
-            relative=None if self.relative is None else self.relative[rows],
+            selected(self, rows),
             covariates={name: value[rows] for name, value in self.covariates.items()},
-            test=self.test[rows],
             labels=selected(self.labels, rows),
             repeats=replace(repeats, configuration=by_appearance(repeats.configuration)),
             origin=selected(self.origin, rows),
@@ -377,8 +373,8 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
     """The same rows with what is known of the noise of each block's; the split must be final."""
     if all(noise.std is None for noise in noises):
         return data
-    relative = np.ones((len(data), sum(channel.size for channel in data.channels)))
-    sigma, ends = [], np.cumsum([0, *(spread(np.ones(len(b.channels)), b.channels).size for b in data.blocks)])
+    sigma, ends = [], np.cumsum([0, *(sum(channel.size for channel in block.channels) for block in data.blocks)])
+    relative = np.ones((len(data), ends[-1]))
     for number, noise in enumerate(noises):
         own = data.labels.block == number
         made = weighed(of_block(data, number, own), noise)

@@ -256,6 +256,14 @@ class Units(Section):
         return self.scale(column, "length" if kind == "prismatic" else "angle")
 
 
+SEQUENCES = frozenset(
+    "".join(axes)
+    for letters in ("xyz", "XYZ")
+    for axes in itertools.product(letters, repeat=3)
+    if axes[0] != axes[1] != axes[2]
+)
+"""Of Euler angles, in scipy's letters: capitals turn with the body."""
+
 HOW_WRITTEN = (
     "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
 )
@@ -277,13 +285,8 @@ class Orientation(Section):
     @field_validator("euler")
     @classmethod
     def _scipy_letters(cls, euler: str | None) -> str | None:
-        if euler is not None:
-            one_case = euler in (euler.upper(), euler.lower())
-            repeated = any(a == b for a, b in itertools.pairwise(euler))
-            if len(euler) != 3 or not one_case or repeated or not set(euler.lower()) <= set("xyz"):
-                raise ValueError(
-                    f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)"
-                )
+        if euler is not None and euler not in SEQUENCES:
+            raise ValueError(f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)")
         return euler
 
     @model_validator(mode="after")

@@ -30,7 +30,6 @@ from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats, untold
 from aridcal.inputs.split import draw_split, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import pose_numbers, turned
 from aridcal.instruments.setup import Block
@@ -111,7 +110,7 @@ def load_measurements(
     robot = robot if campaign.links else None
     asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
-    parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
+    parts = [_block(asked, number, tables) for number, tables in of_blocks]
     direct = not require_pose or _direct(campaign, parts[0].rows)
     if not (direct or fitted):
         there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
@@ -125,42 +124,37 @@ def load_measurements(
     return _with_instruments(weighed_apart(rows, [part.noise for part in parts]), asked)
 
 
-def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> _Part:
-    """Read one block of measurements.
-
-    Args:
-        asked: What is wanted of its tables.
-        number: Of the block in the campaign.
-        tables: Its tables.
-        alone: True if it is the campaign's only block.
-    """
-    rows, chosen, noise = _read(asked, number, tables, alone)
+def _block(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> _Part:
+    """Read the tables of one block of the campaign, which is told by its number."""
+    rows, chosen, noise = _read(asked, number, tables)
     give_back()  # the table's cells, which are more than all that was made of them
     rows = rows.select(chosen)  # those as they stand in the table are let go
     rows = rows.with_repeats(configuration=blocks(rows.readings, asked.kinds))
-    return _Part(
-        rows
-        if rows.origin.split_given
-        else replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed)),
-        noise,
-    )
+    if not rows.origin.split_given:
+        rows = replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed))
+    return _Part(rows, noise)
 
 
-def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, np.ndarray, RowNoise]:
-    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
-    campaign, kinds = asked.campaign, asked.kinds
-    settings = campaign.blocks[number]
+def _source(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> Source:
+    """The tables of a block as they stand in their files."""
+    campaign, settings = asked.campaign, asked.campaign.blocks[number]
     own = [settings.columns.get(name, name) for name in asked.readings]
     needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
     there = _existing(campaign, tables, asked.own_files)
     from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
 
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
-    stated = campaign.robot.stated.names
-    source = Source(table, settings, asked.readings, kinds, asked.limits, str(campaign.path), stated)
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
+    stated = campaign.robot.stated.names
+    return Source(table, settings, asked.readings, asked.kinds, asked.limits, str(campaign.path), stated)
+
+
+def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
+    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
+    campaign, kinds, source = asked.campaign, asked.kinds, _source(asked, number, tables)
+    table, settings = source.table, source.settings
     q = source.joints() if asked.robot is None else np.zeros((len(table), len(kinds)))
     of_target = asked.require_pose and settings.traits.tracked
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
@@ -177,14 +171,14 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     read_here = asked.require_pose and not of_target
     observed = _observed(source) if read_here else position
     nothing = untold(len(table))
-    refers = _refers(source, asked, alone) if read_here else nothing.refers
+    refers = _refers(source, asked) if read_here else nothing.refers
     if read_here:
         camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
         q = source.joints(needed_columns(asked.robot, paths))
-    by_station = per_station(campaign) and (of_target or alone)
+    by_station = per_station(campaign) and (of_target or len(campaign.blocks) == 1)
     station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
     covariates = source.covariates()
@@ -219,12 +213,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         relative=None,
         covariates=covariates,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
-        labels=Labels(
-            block=nothing.block,
-            refers=refers,
-            station=station,
-            target=target if asked.require_pose else None,
-        ),
+        labels=Labels(nothing.block, refers, station, target if asked.require_pose else None),
         repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
         origin=Origin(
             file=table.file,
@@ -307,12 +296,12 @@ def _observed(source: Source) -> np.ndarray:
     return source.needed(cells, scale)
 
 
-def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
+def _refers(source: Source, asked: _Asked) -> np.ndarray:
     """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
     settings, known = source.settings, asked.known
     n = len(source.table)
     labels: dict[str, np.ndarray] = {}
-    for role in KINDS[settings.kind].roles:
+    for role in settings.traits.roles:
         if role.name == "board":  # what carries the marker, once that is known
             continue
         words = source.labels(role.name, needed=settings.kind) if role.name in LABELLED else _words(source, role.name)
@@ -324,7 +313,7 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
     if "marker" in labels:
         pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
         labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
-        labels = {role.name: labels[role.name] for role in KINDS[settings.kind].roles}
+        labels = {role.name: labels[role.name] for role in settings.traits.roles}
     for board, stated in known.boards.items() if "marker" in labels else ():
         missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
         assert stated.file is not None
@@ -378,10 +367,8 @@ def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
     if given is None and len(set(own.values())) == 1:
         return rows
     if TIP in label and TIP in own.values():
-        beside = listed(
-            [f"`kind: {kind}`" for kind in dict.fromkeys(b.kind for b in campaign.blocks) if KINDS[kind].bare]
-        )
-        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {beside}; rename it")
+        bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
+        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
     told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
     if campaign.frames.tip_target.per is not None:
         raise CampaignError(
@@ -414,7 +401,7 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     """The rows with what is known of the things that they refer to."""
     rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, asked.readings))
     of_blocks = [
-        Rows(KINDS[b.kind], rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+        Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
     ]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:

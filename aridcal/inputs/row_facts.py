@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from aridcal.inputs.remarks import Remark
 from aridcal.robot.chain import Route
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
-Facts = TypeVar("Facts", "Origin", "Labels", "Repeats")
+Facts = TypeVar("Facts", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,8 @@ def untold(rows: int) -> Labels:
 
 def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
-    of_all = {f.name: getattr(facts, f.name) for f in fields(facts)}
-    chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in of_all.items() if isinstance(v, np.ndarray)}
-    return replace(facts, **chosen)
+    values = {f.name: getattr(facts, f.name) for f in fields(facts)}
+    return replace(facts, **{name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:

@@ -92,10 +92,8 @@ class Table:
         Returns:
             The values, shape (N,), NaN where there is none; and which cells hold text instead, shape (N,) bool.
         """
-        by_file = [_numbers(column) for column in self.cells[name]]
-        values = np.concatenate([values for values, _ in by_file])
-        is_text = np.concatenate([is_text for _, is_text in by_file])
-        return values, is_text
+        values, is_text = zip(*map(_numbers, self.cells[name]), strict=True)
+        return np.concatenate(values), np.concatenate(is_text)
 
     def written_otherwise(self, name: str, is_text: np.ndarray) -> str:
         """Why most cells of a column hold no numbers though they look like some, with the remedy; empty if they do not.

@@ -38,7 +38,7 @@ BOARD = "board_on_"
 RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
 
-UNDECLARED = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
+UNDECLARED: dict[str, AnchorSettings | PlaneSettings] = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
 """Of what nothing is stated; nothing sees through a camera that is not declared."""
 
 HAVE_LENGTHS = ("point", "anchor", "marker")
