@@ -278,7 +278,6 @@ def dataset(
     noise: RowNoise | None = None,
     covariates: dict[str, np.ndarray] | None = None,
     station: np.ndarray | None = None,
-    stale: np.ndarray | None = None,
     test: np.ndarray | None = None,
 ) -> Dataset:
     """A data set from arrays: rows that come from no file, numbered as if a header stood above them.
@@ -293,7 +292,6 @@ def dataset(
         noise: How the rows' noise differs.
         covariates: Columns that effects may depend on, shape (N,) each.
         station: Labels, shape (N,).
-        stale: See :class:`Dataset`; default: none.
         test: Held-out rows, shape (N,); default: none.
     """
     n = len(readings)
@@ -308,11 +306,7 @@ def dataset(
         covariates=dict(covariates or {}),
         test=nothing if test is None else test,
         labels=replace(untold(n), station=station),
-        repeats=Repeats(
-            configuration=blocks(readings, kinds),
-            stale=nothing if stale is None else stale,
-            doubtful=nothing if stale is None else stale,
-        ),
+        repeats=Repeats(configuration=blocks(readings, kinds), stale=nothing, doubtful=nothing),
         origin=Origin(
             file=np.zeros(n, dtype=int),
             line=np.arange(n) + 2,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import codecs
-import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -256,13 +255,8 @@ class Units(Section):
         return self.scale(column, "length" if kind == "prismatic" else "angle")
 
 
-SEQUENCES = frozenset(
-    "".join(axes)
-    for letters in ("xyz", "XYZ")
-    for axes in itertools.product(letters, repeat=3)
-    if axes[0] != axes[1] != axes[2]
-)
-"""Of Euler angles, in scipy's letters: capitals turn with the body."""
+SEQUENCE = re.compile(r"(?!.*(.)\1)([xyz]{3}|[XYZ]{3})")
+"""Axes of Euler angles in scipy's letters: three of one case, none twice in a row."""
 
 HOW_WRITTEN = (
     "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
@@ -285,7 +279,7 @@ class Orientation(Section):
     @field_validator("euler")
     @classmethod
     def _scipy_letters(cls, euler: str | None) -> str | None:
-        if euler is not None and euler not in SEQUENCES:
+        if euler is not None and not SEQUENCE.fullmatch(euler):
             raise ValueError(f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)")
         return euler
 

@@ -218,19 +218,14 @@ class Source:
         self.table.require(columns, advice)
         if self.settings.orientation.angles:
             return self._from_angles(columns)
-        return self._from_matrices(columns) if self.settings.orientation.matrix else self._from_quaternions(columns)
-
-    def _from_matrices(self, columns: list[str]) -> np.ndarray:
-        """Columns of rotation matrices as unit quaternions, shape (N, 4); rows that have none are refused."""
-        quaternion, off = of_matrices(self.needed(columns, 1.0), self.usable)
-        self.refuse(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
-        return np.where(self.usable[:, None], quaternion, IDENTITY)
-
-    def _from_quaternions(self, columns: list[str]) -> np.ndarray:
-        """Columns of quaternions, made to have norm 1, shape (N, 4)."""
-        quaternion, norm = normalised(self.needed(columns, 1.0), self.usable)
-        off = np.abs(norm - 1) > QUATERNION_SLACK
-        self.refuse(off, " ".join(columns), "the norm of the quaternion is not 1", norm)
+        cells = self.needed(columns, 1.0)
+        if self.settings.orientation.matrix:
+            quaternion, off = of_matrices(cells, self.usable)
+            self.refuse(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
+        else:
+            quaternion, norm = normalised(cells, self.usable)
+            off = np.abs(norm - 1)
+            self.refuse(off > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm)
         return np.where(self.usable[:, None], quaternion, IDENTITY)
 
     def _from_angles(self, columns: list[str]) -> np.ndarray:
@@ -301,12 +296,13 @@ class Source:
             raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
         return std if given else None
 
-    def labels(self, quantity: str, needed: str = "") -> np.ndarray | None:
+    def labels(self, quantity: str, needed: str = "", filled: bool = False) -> np.ndarray | None:
         """A column of words, shape (N,); `None` if there is none.
 
         Args:
             quantity: ``station``, ``split``, ``target``, or what rows of the kind refer to.
             needed: What needs it, ``station`` or a kind; then rows without a word are refused.
+            filled: True if they are, too, where there is such a column.
 
         Raises:
             MeasurementError: it is needed, but not there.
@@ -320,7 +316,7 @@ class Source:
         words = self.table.texts(name)
         unsafe = np.array([has_controls(word) or len(word) > LONGEST_NAME for word in words.tolist()], dtype=bool)
         self.refuse(unsafe, name, "a label with control characters, or too long")
-        if needed:
+        if needed or filled:
             self.refuse(words == "", name, "empty")
         return words
 

@@ -165,7 +165,7 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Datas
         else:
             position = source.position()
         std = source.std()
-    target = _words(source, TARGET) if TARGET in settings.own_columns else None
+    target = source.labels(TARGET, filled=True) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
         target = np.full(len(table), settings.target)
     read_here = asked.require_pose and not of_target
@@ -273,14 +273,6 @@ def _direct(campaign: Campaign, rows: Dataset) -> bool:
     return only and rows.labels.target is None and not campaign.links
 
 
-def _words(source: Source, quantity: str) -> np.ndarray | None:
-    """Labels of the rows where there is a column of them, shape (N,); rows with an empty one are refused."""
-    words = source.labels(quantity)
-    if words is not None:
-        source.refuse(words == "", source.column(quantity), "empty")
-    return words
-
-
 def _observed(source: Source) -> np.ndarray:
     """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
     settings, kind = source.settings, source.settings.traits
@@ -300,11 +292,11 @@ def _refers(source: Source, asked: _Asked) -> np.ndarray:
     """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
     settings, known = source.settings, asked.known
     n = len(source.table)
-    labels: dict[str, np.ndarray] = {}
+    labels = {role.name: np.full(n, "") for role in settings.traits.roles}
     for role in settings.traits.roles:
         if role.name == "board":  # what carries the marker, once that is known
             continue
-        words = source.labels(role.name, needed=settings.kind) if role.name in LABELLED else _words(source, role.name)
+        words = source.labels(role.name, needed=settings.kind if role.name in LABELLED else "", filled=True)
         if words is None:
             words = np.full(n, _default(asked.campaign, settings, role.name))
         if role.name == "camera":
@@ -313,13 +305,11 @@ def _refers(source: Source, asked: _Asked) -> np.ndarray:
     if "marker" in labels:
         pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
         labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
-        labels = {role.name: labels[role.name] for role in settings.traits.roles}
     for board, stated in known.boards.items() if "marker" in labels else ():
         missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
         assert stated.file is not None
         source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
-    made = [*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))]
-    return np.column_stack(made)
+    return np.column_stack([*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))])
 
 
 def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
