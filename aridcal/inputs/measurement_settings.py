@@ -132,7 +132,7 @@ LAST_LINE = 100_000
 """Below which no header stands."""
 
 
-def _known(encoding: str) -> str:
+def _of_text(encoding: str) -> str:
     try:
         if not codecs.lookup(encoding)._is_text_encoding:
             raise LookupError
@@ -143,12 +143,12 @@ def _known(encoding: str) -> str:
     return encoding
 
 
-def _shown(name: str) -> str:
+def _can_be_shown(name: str) -> str:
     check_name(name, "measurements.table", CampaignError)
     return name
 
 
-Name = Annotated[str, AfterValidator(_shown)]
+Name = Annotated[str, AfterValidator(_can_be_shown)]
 
 Line = Annotated[int, Field(ge=1, le=LAST_LINE)]
 
@@ -166,7 +166,7 @@ class TableSettings(Section):
 
     sheet: Name = ""
     """Of a workbook, where it has several; of `export: robot_calibration` the sensor."""
-    encoding: Annotated[str, AfterValidator(_known)] = "utf-8"
+    encoding: Annotated[str, AfterValidator(_of_text)] = "utf-8"
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
     decimal: Literal[".", ","] = "."
     thousands: Literal["", ".", ",", "'", "blank"] = ""

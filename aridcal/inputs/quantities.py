@@ -156,7 +156,7 @@ class Source:
             MeasurementError: a joint that is needed has no column.
         """
         needed = np.ones((1, len(self.joint_names)), dtype=bool) if needed is None else needed
-        columns = [name for name, some in zip(self.joint_columns, needed.any(axis=0).tolist(), strict=True) if some]
+        columns = [self.joint_columns[k] for k in np.flatnonzero(needed.any(axis=0)).tolist()]
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(columns, advice)
         if needed.all():

@@ -29,7 +29,7 @@ def held_together(data: Dataset) -> np.ndarray:
 
 
 def repeated(data: Dataset) -> np.ndarray:
-    """The same of rows that repeat a configuration, where rows of one place err independently, shape (N,)."""
+    """Numbers of configurations, shape (N,), for rows of a place that err independently; of things with few rows, all of one."""
     return _with_things(data, blocks(data.readings, data.kinds))
 
 

@@ -276,17 +276,17 @@ def _check_names(seen: dict[str, tuple[str, ...]], joints: Collection[str]) -> N
             {name for other, names in seen.items() if other != role for name in names} if role == "camera" else set()
         )
         for label in labels:
-            if label in joints or RESERVED.fullmatch(label) or label in others:
-                what = (
-                    "a joint"
-                    if label in joints
-                    else "a place of corrections"
-                    if label not in others
-                    else "another thing"
-                )
-                raise MeasurementError(
-                    f"the {role} {label!r} has the name of {what}: rename it, in the tables and the campaign"
-                )
+            if label in joints:
+                what = "a joint"
+            elif label in others:
+                what = "another thing"
+            elif RESERVED.fullmatch(label):
+                what = "a place of corrections"
+            else:
+                continue
+            raise MeasurementError(
+                f"the {role} {label!r} has the name of {what}: rename it, in the tables and the campaign"
+            )
 
 
 def _role_of(
