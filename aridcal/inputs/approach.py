@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.repeats import SAME_ANGLE, SAME_LENGTH
+from aridcal.inputs.repeats import tolerances
 
 
 def approach(reading: np.ndarray, still: float, side: float = 0.0, last: float = math.nan) -> np.ndarray:
@@ -39,7 +39,7 @@ def with_directions(rows: Dataset) -> Dataset:
     """
     found: dict[str, np.ndarray] = {}
     time = rows.covariates.get("time")
-    for name, kind, reading in zip(rows.names, rows.kinds, rows.readings.T, strict=True):
+    for name, still, reading in zip(rows.names, tolerances(rows.kinds).tolist(), rows.readings.T, strict=True):
         column = f"{name}_direction"
         if column in rows.covariates:
             continue
@@ -48,5 +48,5 @@ def with_directions(rows: Dataset) -> Dataset:
             own = np.flatnonzero(rows.origin.file == file)
             timed = time is not None and np.isfinite(time[own]).all()
             own = own[np.argsort(time[own] if time is not None and timed else rows.origin.line[own], kind="stable")]
-            found[column][own] = approach(reading[own], SAME_LENGTH if kind == "prismatic" else SAME_ANGLE)
+            found[column][own] = approach(reading[own], still)
     return replace(rows, covariates=rows.covariates | found).with_origin(derived=tuple(found))

@@ -23,16 +23,20 @@ from aridcal.effects.catalogue import KINDS, is_of_head
 from aridcal.effects.loads import PAYLOAD, Payload
 from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.fit.question import EndFrame, Question
-from aridcal.inputs.counting import check_joints
-from aridcal.inputs.instrument_settings import InstrumentSettings, TargetSettings
-from aridcal.inputs.measurement_settings import (
-    MeasurementSettings,
-    Names,
-    listed,
-    one_of,
-)
+from aridcal.inputs.counting import check_joints, check_on_chain
+from aridcal.inputs.instrument_settings import InstrumentSettings, Placement, TargetSettings
+from aridcal.inputs.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.inputs.purposes import About, DesignSettings, Region, StudySettings, ToleranceSettings, position_alone
-from aridcal.inputs.yaml_file import LARGEST, Number, RelativePath, Section, Settings, Vector3, load_settings
+from aridcal.inputs.yaml_file import (
+    LARGEST,
+    AnySection,
+    Number,
+    RelativePath,
+    Section,
+    Settings,
+    Vector3,
+    load_settings,
+)
 from aridcal.instruments.catalogue import KINDS as MEASURED
 from aridcal.instruments.catalogue import labelled
 from aridcal.instruments.setup import TIP, WORLD
@@ -122,11 +126,9 @@ def _first_listed(value: Any, validate: ValidatorFunctionWrapHandler, about: Val
     return validate(value)
 
 
-class FrameSettings(Section):
+class FrameSettings(Placement):
     """An unknown or a known frame; of an unknown one, `xyz` and `rpy` are a hint."""
 
-    xyz: Vector3 = (0.0, 0.0, 0.0)
-    rpy: Vector3 = (0.0, 0.0, 0.0)
     identify: bool = True
     per: Literal["station"] | None = None
     """`station`: one frame for each value of that column."""
@@ -140,9 +142,8 @@ class FrameSettings(Section):
 
 def placed(settings: FrameSettings | TargetSettings) -> EndFrame:
     """A frame as a campaign states it."""
-    at = pin.SE3(pin.rpy.rpyToMatrix(np.array(settings.rpy)), np.array(settings.xyz))
     by_station = isinstance(settings, FrameSettings) and settings.per is not None
-    return EndFrame(at, settings.identify, by_station)
+    return EndFrame(pin.SE3(settings.homogeneous), settings.identify, by_station)
 
 
 class Frames(Section):
@@ -236,13 +237,11 @@ class PayloadSettings(Section):
 Payloads = Annotated[tuple[PayloadSettings, ...], BeforeValidator(listed)]
 
 
-def _with_columns(block: MeasurementSettings, columns: dict[str, str]) -> MeasurementSettings:
-    """A block that knows of columns which another key of the campaign names."""
-    said = "columns" in block.model_fields_set
-    block = block.model_copy(update={"columns": block.columns | columns})
-    if not said:
-        block.model_fields_set.discard("columns")
-    return block
+def _with(section: AnySection, key: str, value: object) -> AnySection:
+    """A section with what another key of the campaign says of one of its keys, which counts as unsaid where it was."""
+    other = section.model_copy(update={key: value})
+    other.model_fields_set.intersection_update(section.model_fields_set)
+    return other
 
 
 class Job(Settings):
@@ -300,9 +299,7 @@ class Job(Settings):
                 "robot.tip is missing: name the link that is calibrated, or give every target its link under "
                 "instruments.targets (on: LINK)"
             )
-        robot = self.robot.model_copy(update={"tip": self.carriers[0]})
-        robot.model_fields_set.discard("tip")  # it is still not said
-        return self.model_copy(update={"robot": robot})
+        return self.model_copy(update={"robot": _with(self.robot, "tip", self.carriers[0])})
 
     @model_validator(mode="after")
     def _head_only_with_camera_sonar(self) -> Job:
@@ -375,7 +372,7 @@ class Job(Settings):
                         f"{self.place(number)}.columns.{mass}: is {own!r} here and {column!r} under "
                         f"{self.payload_key(k)}.column; delete it here"
                     )
-        blocks = tuple(_with_columns(block, named) for block in self.blocks)
+        blocks = tuple(_with(block, "columns", block.columns | named) for block in self.blocks)
         return self.model_copy(update={"measurements": blocks[0], "listed": blocks if self.listed else ()})
 
     @model_validator(mode="after")
@@ -439,11 +436,8 @@ class Campaign(Job):
 
     def with_tolerance(self, position: float) -> Campaign:
         """The same campaign with another tolerance of the position, [m]."""
-        before = self.tolerance
-        rotation = None if before is None else before.rotation
-        return self.model_copy(
-            update={"tolerance": ToleranceSettings.model_construct(position=position, rotation=rotation)}
-        )
+        tolerance = self.tolerance or ToleranceSettings.model_construct(position=position)
+        return self.model_copy(update={"tolerance": tolerance.model_copy(update={"position": position})})
 
     def with_tables(self, tables: Sequence[str | Path | pd.DataFrame]) -> Campaign:
         """The same campaign with other measurements, of the same columns and units."""
@@ -476,36 +470,30 @@ def nominal_robot(job: Job) -> Robot:
     robot = load_robot(
         named.urdf, named.tip, named.base, job.limits.urdf, named.packages, named.arguments, named.stated
     )
-    links = job.links
-    if links:
-        names = {frame.name for frame in robot.tree.frames}
-        for link, key in links.items():
-            if link not in names:
-                raise CampaignError(
-                    f"{job.path}: {key}: no link {shortened(link)!r} in {robot.path.name}{nearest(link, names)}; "
-                    "write tip, world or a link of the URDF"
-                )
-        robot = with_limbs(robot, tuple(links))
+    for link, key in job.links.items():
+        _check_link(link, robot, f"{job.path}: {key}", "tip, world or a link")
+    if job.links:
+        robot = with_limbs(robot, tuple(job.links))
     for number, payload in enumerate(job.payload):
-        names, key = {frame.name for frame in robot.tree.frames}, f"{job.path}: {job.payload_key(number)}.on"
-        if payload.on not in names:
-            raise CampaignError(
-                f"{key}: no link {shortened(payload.on)!r} in {robot.path.name}"
-                f"{nearest(payload.on, names)}; write a link of the URDF"
-            )
+        key = f"{job.path}: {job.payload_key(number)}.on"
+        _check_link(payload.on, robot, key, "a link")
         if not bears(robot, payload.on).any():
             raise CampaignError(
                 f"{key}: no joint that rows measure bears {payload.on!r}; write the link that carries it"
             )
-    for name in named.controller_zeros:
-        if name not in robot.readings:
-            raise CampaignError(
-                f"robot.controller_zeros: no joint {shortened(name)!r} on the chain{nearest(name, robot.readings)}; write one "
-                "of its moving joints"
-            )
+    check_on_chain(named.controller_zeros, "robot.controller_zeros", robot.readings)
     for number, block in enumerate(job.blocks):
         check_joints(block, f"{job.path}: {job.place(number)}", robot.readings, robot.kinds)
     return robot
+
+
+def _check_link(link: str, robot: Robot, key: str, possible: str) -> None:
+    """Make sure that a key names a link of the URDF."""
+    names = {frame.name for frame in robot.tree.frames}
+    if link not in names:
+        raise CampaignError(
+            f"{key}: no link {shortened(link)!r} in {robot.path.name}{nearest(link, names)}; write {possible} of the URDF"
+        )
 
 
 def load_campaign(path: str | Path) -> Campaign:

@@ -10,10 +10,9 @@ import numpy as np
 from aridcal.errors import MeasurementError
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.measurement_settings import FAR
-from aridcal.inputs.quantities import FINEST, POSITION, STD, TURNS, Source
+from aridcal.inputs.quantities import POSITION, STD, TURNS, Source
 from aridcal.inputs.repeats import first_alike, tolerances
-from aridcal.instruments.catalogue import KINDS as MEASURED
-from aridcal.robot.chain import JointKind
+from aridcal.inputs.yaml_file import FINEST
 
 # A limit may be printed with few digits, [rad] or [m].
 LIMIT_SLACK = 1e-5
@@ -78,51 +77,37 @@ def _line(source: Source, there: int, here: int) -> str:
 
 
 def stale_rows(
-    source: Source, q: np.ndarray, kinds: Sequence[JointKind], measured: np.ndarray, sequence: np.ndarray
+    source: Source, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
     Args:
         source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
-        kinds: Of each.
         measured: What was measured, shape (N, numbers).
         sequence: Numbers of the rows as they were measured, shape (N,).
+        noted: True if they are named among the notices.
 
     Returns:
-        For each row the earlier one that it repeats so, -1 if none, and whether it is one of such rows, the earliest
-        included; shape (N,) each.
+        Rows that repeat an earlier one so, and these with the earliest included; shape (N,) bool each.
     """
     rows = sequence[source.usable[sequence]]
     first = rows[first_alike(column[rows] for column in measured.T)]
-    moved = (np.abs(q[rows] - q[first]) > tolerances(kinds)).any(axis=1)
-    earlier = np.full(len(q), -1)
-    earlier[rows[moved]] = first[moved]
-    shared = np.zeros(len(q), dtype=bool)
-    shared[rows] = np.isin(first, first[moved])
-    return earlier, shared
-
-
-def note_stale(source: Source, earlier: np.ndarray) -> None:
-    """Name the rows that :func:`stale_rows` found."""
-    for row in np.flatnonzero(earlier >= 0).tolist():
-        line = _line(source, int(earlier[row]), row)
+    moved = (np.abs(q[rows] - q[first]) > tolerances(source.kinds)).any(axis=1)
+    stale, shared = np.zeros(len(q), dtype=bool), np.zeros(len(q), dtype=bool)
+    stale[rows], shared[rows] = moved, np.isin(first, first[moved])
+    for row, earlier in sorted(zip(rows[moved].tolist(), first[moved].tolist(), strict=True)) if noted else ():
+        line = _line(source, earlier, row)
         why = f"repeats the pose of {line} exactly although the joints moved: a stale measurement?"
         source.notices.append(source.table.remark(row, "", why))
+    return stale, shared
 
 
-def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind]) -> None:
-    """Name the readings outside their joint's limits.
-
-    Args:
-        source: The table.
-        q: Readings, shape (N, columns), [rad] or [m].
-        limits: Of each, shape (columns, 2).
-        kinds: Of each; limits of a ``continuous`` joint count whole turns.
-    """
+def note_limits(source: Source, q: np.ndarray) -> None:
+    """Name the readings outside their joint's limits; they are of shape (N, columns), [rad] or [m]."""
     rows = np.flatnonzero(source.usable)
-    for k, (joint, kind) in enumerate(zip(source.joint_names, kinds, strict=True)):
-        (low, high), reading = limits[k], q[rows, k]
+    for k, (joint, kind) in enumerate(zip(source.joint_names, source.kinds, strict=True)):
+        (low, high), reading = source.limits[k], q[rows, k]
         above, below = reading - high, low - reading
         beyond = np.maximum(below, above)
         if kind == "continuous" and np.isfinite([low, high]).all():
@@ -133,25 +118,21 @@ def note_limits(source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequen
             source.notices.append(source.table.remark(row, source.joint_columns[k], why))
 
 
-def check_units(
-    source: Source, q: np.ndarray, limits: np.ndarray, kinds: Sequence[JointKind], position: np.ndarray | None
-) -> None:
+def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> None:
     """Refuse data that cannot be in the stated units, and mention what may not be.
 
     Args:
-        source: The table.
+        source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
-        limits: Of each, shape (columns, 2).
-        kinds: Of each.
         position: Of the target, shape (N, 3), [m], if it was measured.
 
     Raises:
         MeasurementError: most rows are where no robot can be.
     """
     q = np.nan_to_num(q[source.usable])
-    turning = np.array([kind != "prismatic" for kind in kinds], dtype=bool)
-    endless = np.array([kind == "continuous" for kind in kinds], dtype=bool)
-    _refuse_impossible(source, q, np.where(endless[:, None], [-np.inf, np.inf], limits), turning)
+    turning = np.array([kind != "prismatic" for kind in source.kinds], dtype=bool)
+    endless = np.array([kind == "continuous" for kind in source.kinds], dtype=bool)
+    _refuse_impossible(source, q, np.where(endless[:, None], [-np.inf, np.inf], source.limits), turning)
     _note_odd_angles(source, np.abs(q[:, turning]))
     if position is not None:
         _check_positions(source, position[source.usable], np.ptp(q[:, turning], axis=0))
@@ -234,4 +215,4 @@ def check_distances(source: Source, observed: np.ndarray) -> None:
     if (settings.traits.ranges or settings.traits.gauges) and observed.shape[1]:
         read = np.abs(observed[source.usable, 0])
         if np.median(read) > LONG:
-            raise source.wrong_unit([source.column(MEASURED[settings.kind].read[0])], "length", float(read.max()))
+            raise source.wrong_unit([source.column(settings.traits.read[0])], "length", float(read.max()))

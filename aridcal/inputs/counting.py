@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from aridcal.errors import CampaignError, nearest, shortened
-from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, MeasurementSettings
+from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, JointColumn, MeasurementSettings
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,6 @@ class Counting:
     unit: np.ndarray
     sign: np.ndarray
     zero: np.ndarray
-
-    def readings(self, cells: np.ndarray) -> np.ndarray:
-        """Readings, shape (N, columns), [rad] or [m], from cells."""
-        return self.of_shown(cells * self.unit)
 
     def of_shown(self, shown: np.ndarray) -> np.ndarray:
         """Readings from what the columns show, shape (N, columns), both in [rad] or [m]; in place, for tables may be long."""
@@ -49,45 +45,49 @@ class Counting:
 
 
 def counting(settings: MeasurementSettings, readings: Sequence[str], kinds: Sequence[str]) -> Counting:
-    """How the tables of a block count the joints.
-
-    Args:
-        settings: Of the block.
-        readings: Names of the joints.
-        kinds: Of each.
+    """How the tables of a block count joints of these names and kinds.
 
     Raises:
         CampaignError: the unit of a column is one of something else.
     """
-    own = [settings.joints.get(name) for name in readings]
+    own = [settings.joints.get(name, JointColumn()) for name in readings]
     columns = [settings.columns.get(name, name) for name in readings]
     return Counting(
         unit=np.array([settings.units.joint(name, kind) for name, kind in zip(columns, kinds, strict=True)]),
-        sign=np.array([1.0 if joint is None else float(joint.sign) for joint in own]),
-        zero=np.array([0.0 if joint is None else joint.shown_at_zero for joint in own]),
+        sign=np.array([float(joint.sign) for joint in own]),
+        zero=np.array([joint.shown_at_zero for joint in own]),
     )
 
 
-def check_joints(settings: MeasurementSettings, place: str, readings: Sequence[str], kinds: Sequence[str]) -> None:
-    """Make sure that `joints` speaks of joints of the robot, each in a unit of its own.
-
-    Args:
-        settings: Of a block.
-        place: The campaign's file and the key of the block, for messages.
-        readings: Names of the joints.
-        kinds: Of each.
+def check_on_chain(names: Iterable[str], key: str, readings: Sequence[str]) -> None:
+    """Make sure that the names under a key are those of joints of the robot.
 
     Raises:
         CampaignError: naming the key.
     """
-    of = dict(zip(readings, kinds, strict=True))
-    for name, joint in settings.joints.items():
-        if name not in of:
+    for name in names:
+        if name not in readings:
             raise CampaignError(
-                f"{place}.joints: no joint {shortened(name)!r} on the chain{nearest(name, readings)}; write one of its moving "
-                "joints"
+                f"{key}: no joint {shortened(name)!r} on the chain{nearest(name, readings)}; write one of its moving joints"
             )
-        what, units = ("slides", LENGTHS) if of[name] == "prismatic" else ("turns", ANGLES)
+
+
+def check_joints(settings: MeasurementSettings, place: str, readings: Sequence[str], kinds: Sequence[str]) -> None:
+    """Make sure that `joints` of a block speaks of joints of the robot, each in a unit of its own.
+
+    Args:
+        settings: Of the block.
+        place: The campaign's file and the key of the block, for messages.
+        readings: Names of the robot's joints.
+        kinds: Kind of each.
+
+    Raises:
+        CampaignError: naming the key.
+    """
+    check_on_chain(settings.joints, f"{place}.joints", readings)
+    kind = dict(zip(readings, kinds, strict=True))
+    for name, joint in settings.joints.items():
+        what, units = ("slides", LENGTHS) if kind[name] == "prismatic" else ("turns", ANGLES)
         if joint.zero is not None and joint.zero_unit not in units:
             raise CampaignError(
                 f"{place}.joints.{name}.zero: {joint.zero}, but this joint {what}; write a number with one of {', '.join(units)}"

@@ -165,12 +165,8 @@ class Dataset:
             return self
         repeats = selected(self.repeats, rows)
         return replace(
-            self,
-            readings=self.readings[rows],
-            observed=self.observed[rows],
-            relative=None if self.relative is None else self.relative[rows],
+            selected(self, rows),
             covariates={name: value[rows] for name, value in self.covariates.items()},
-            test=self.test[rows],
             labels=selected(self.labels, rows),
             repeats=replace(repeats, configuration=by_appearance(repeats.configuration)),
             origin=selected(self.origin, rows),
@@ -282,7 +278,6 @@ def dataset(
     noise: RowNoise | None = None,
     covariates: dict[str, np.ndarray] | None = None,
     station: np.ndarray | None = None,
-    stale: np.ndarray | None = None,
     test: np.ndarray | None = None,
 ) -> Dataset:
     """A data set from arrays: rows that come from no file, numbered as if a header stood above them.
@@ -297,27 +292,21 @@ def dataset(
         noise: How the rows' noise differs.
         covariates: Columns that effects may depend on, shape (N,) each.
         station: Labels, shape (N,).
-        stale: See :class:`Dataset`; default: none.
         test: Held-out rows, shape (N,); default: none.
     """
-    n, kind = len(readings), kind_of_places(rotation)
-    stated = tuple(sigma)[: len(kind.channels)] or (None,) * len(kind.channels)
+    n = len(readings)
     nothing = np.zeros(n, dtype=bool)
     made = Dataset(
         names=tuple(names),
         kinds=tuple(kinds),
         readings=readings,
-        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        blocks=(_tracked(rotation, sigma),),
         observed=pose_numbers(position, rotation),
         relative=None,
         covariates=dict(covariates or {}),
         test=nothing if test is None else test,
         labels=replace(untold(n), station=station),
-        repeats=Repeats(
-            configuration=blocks(readings, kinds),
-            stale=nothing if stale is None else stale,
-            doubtful=nothing if stale is None else stale,
-        ),
+        repeats=Repeats(configuration=blocks(readings, kinds), stale=nothing, doubtful=nothing),
         origin=Origin(
             file=np.zeros(n, dtype=int),
             line=np.arange(n) + 2,
@@ -328,13 +317,19 @@ def dataset(
     return made if noise is None else weighed(made, noise)
 
 
+def _tracked(rotation: np.ndarray | None, sigma: Sequence[float | None]) -> Block:
+    """A block of poses, or of positions where there are no rotations, with its declared noise as far as that goes."""
+    kind = kind_of_places(rotation)
+    count = len(kind.channels)
+    return Block(kind.name, kind.name, kind.channels, (*sigma, *count * (None,))[:count])
+
+
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
     """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
-    kind, nothing = kind_of_places(rotation), untold(len(data))
-    stated = (*data.sigma, *(None,) * len(kind.channels))[: len(kind.channels)]
+    nothing = untold(len(data))
     return replace(
         data,
-        blocks=(Block(kind.name, kind.name, kind.channels, stated),),
+        blocks=(_tracked(rotation, data.sigma),),
         observed=pose_numbers(position, rotation),
         instruments=Instruments(),
         labels=replace(data.labels, block=nothing.block, refers=nothing.refers),
@@ -345,14 +340,15 @@ def weighed(data: Dataset, noise: RowNoise) -> Dataset:
     """The same rows with what is known of their noise; the split must be final, for the training rows set the scale."""
     if noise.covariance is not None:
         std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
-        typical = _typical(std[data.train], data.channels)
-        relative = factors(noise.covariance, typical, data.channels)
     elif noise.std is not None:
         std = noise.std
-        typical = _typical(std[data.train], data.channels)
-        relative = std / spread(typical, data.channels)
     else:
         return replace(data, relative=None)
+    typical = _typical(std[data.train], data.channels)
+    if noise.covariance is not None:
+        relative = factors(noise.covariance, typical, data.channels)
+    else:
+        relative = std / spread(typical, data.channels)
     data = replace(data, relative=relative)
     return with_sigma(data, typical.tolist()) if noise.absolute else data
 
@@ -371,8 +367,8 @@ def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
     """The same rows with what is known of the noise of each block's; the split must be final."""
     if all(noise.std is None for noise in noises):
         return data
-    relative = np.ones((len(data), sum(channel.size for channel in data.channels)))
-    sigma, ends = [], np.cumsum([0, *(spread(np.ones(len(b.channels)), b.channels).size for b in data.blocks)])
+    sigma, ends = [], np.cumsum([0, *(sum(channel.size for channel in block.channels) for block in data.blocks)])
+    relative = np.ones((len(data), ends[-1]))
     for number, noise in enumerate(noises):
         own = data.labels.block == number
         made = weighed(of_block(data, number, own), noise)

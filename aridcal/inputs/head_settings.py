@@ -22,8 +22,6 @@ from aridcal.reading.files import MEGA, TABLE, Limit
 CHARUCO_KEYS = ("squares_x", "squares_y", "square", "marker", "dictionary")
 POSE_COLUMNS = (*POSITION, *QUATERNION)
 
-# What a sonar reads: the distance to the plane, or that along the camera's axis.
-
 # [m] Second singular value of the sonars' layout below which they sit on one line: a millimetre shows no tilt.
 LEAST_SPREAD = 1e-3
 
@@ -127,7 +125,7 @@ def load_squares(path: Path, limit: Limit = TABLE) -> dict[int, np.ndarray]:
     table.require(names)
     if table.refused:
         raise MeasurementError(str(table.refused[0]))
-    numbers = np.column_stack([table.numbers(name)[0] for name in names])
+    numbers = table.matrix(names)
     squares: dict[int, np.ndarray] = {}
     for row, (number, *_) in enumerate(numbers):
         _check_square(table, row, names, numbers[row])

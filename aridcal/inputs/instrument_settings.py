@@ -263,9 +263,9 @@ class InstrumentSettings(Section):
     )
 
     @property
-    def declared(self) -> dict[str, tuple[str, ...]]:
-        """Names of anchors, planes and cameras, by their role."""
-        return {"anchor": tuple(self.anchors), "plane": tuple(self.planes), "camera": tuple(self.cameras)}
+    def declared(self) -> dict[str, Mapping[str, AnchorSettings | PlaneSettings | ArmCameraSettings]]:
+        """Anchors, planes and cameras by their names, by their role."""
+        return {"anchor": self.anchors, "plane": self.planes, "camera": self.cameras}
 
     @property
     def sides(self) -> dict[str, Carrier]:
@@ -298,10 +298,8 @@ class InstrumentSettings(Section):
     @property
     def links(self) -> dict[str, str]:
         """Links of the URDF that it names, and the key that does."""
-        things: dict[str, Mapping[str, Any]] = {
-            "targets": self.targets, "anchors": self.anchors, "planes": self.planes, "cameras": self.cameras
-        }  # fmt: skip
-        named = {thing.on: f"{key}.{name}.on" for key, of in things.items() for name, thing in of.items()}
+        things: Mapping[str, Mapping[str, Any]] = {"target": self.targets, **self.declared}
+        named = {thing.on: f"{role}s.{name}.on" for role, of in things.items() for name, thing in of.items()}
         named |= {board.on: f"markers[{k}].on" for k, board in enumerate(self.markers) if board.on is not None}
         named[self.points.on] = "points.on"
         return {link: key for link, key in named.items() if link not in (TIP, WORLD)}
@@ -323,14 +321,10 @@ class InstrumentSettings(Section):
 
     @model_validator(mode="after")
     def _relations_are_possible(self) -> InstrumentSettings:
-        between = {
-            "lengths": [p.between for p in self.lengths],
-            "perpendicular": [p.between for p in self.perpendicular],
-        }
-        for key, pairs in between.items():
-            for number, (a, b) in enumerate(pairs):
-                if a == b:
-                    raise ValueError(f"{key}[{number}].between: {a!r} twice; name two")
+        for key in ("lengths", "perpendicular"):
+            for number, relation in enumerate(getattr(self, key)):
+                if len(set(relation.between)) == 1:
+                    raise ValueError(f"{key}[{number}].between: {relation.between[0]!r} twice; name two")
         lengths: dict[frozenset[str], LengthSettings] = {}
         for number, one in enumerate(self.lengths):
             other = lengths.setdefault(frozenset(one.between), one)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import codecs
-import itertools
 import math
 import re
 from collections.abc import Mapping
@@ -15,7 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, field_validator, mo
 
 from aridcal.errors import CampaignError, nearest, shortened
 from aridcal.exports.robot_calibration import NAME
-from aridcal.inputs.yaml_file import LARGEST, RelativePath, Section
+from aridcal.inputs.yaml_file import FINEST, LARGEST, RelativePath, Section
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Kind
 from aridcal.reading.dialect import BLANKS, PLAIN, Dates, Dialect
@@ -48,12 +47,15 @@ TIMES = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 6
 # The same of tolerances.
 SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
 
-# Of a tolerance in any unit: more is none.
-LARGEST_TOLERANCE = 1e9
-
 
 AMOUNT = re.compile(r"([-+]?[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?)\s*([a-z]+)")
 """A number with its unit."""
+
+
+def amount(text: object) -> tuple[float, str]:
+    """A number and its unit as they are written; NaN and no unit where the text is something else."""
+    match = AMOUNT.fullmatch(str(text).strip())
+    return (float(match[1]), match[2]) if match else (math.nan, "")
 
 
 def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
@@ -67,12 +69,12 @@ def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
     Raises:
         ValueError: it is none, or has no unit.
     """
-    found = AMOUNT.fullmatch(str(text).strip())
-    if found is None or found[2] not in units or not 0.0 < float(found[1]) < LARGEST_TOLERANCE:
+    number, unit = amount(text)
+    if unit not in units or not 0.0 < number < LARGEST:
         raise ValueError(
             f"should be a number with its unit ({', '.join(units)}), {example} for instance, not {shortened(str(text))!r}"
         )
-    return float(found[1]) * units[found[2]]
+    return number * units[unit]
 
 
 def length_argument(text: str) -> float:
@@ -102,18 +104,21 @@ def listed(value: Any) -> Any:
 Names = Annotated[tuple[str, ...], BeforeValidator(listed)]
 
 
+Sigma = Annotated[float, Field(ge=FINEST, le=1e3)]
+
+
 class Noise(Section):
     """1-sigma of the measurement per axis; what is absent is estimated."""
 
-    position: float | None = Field(default=None, ge=1e-12, le=1e3)
+    position: Sigma | None = None
     """[m]"""
-    rotation: float | None = Field(default=None, ge=1e-12, le=1e3)
+    rotation: Sigma | None = None
     """[rad]"""
-    distance: float | None = Field(default=None, ge=1e-12, le=1e3)
+    distance: Sigma | None = None
     """[m]"""
-    pixel: float | None = Field(default=None, ge=1e-12, le=1e3)
+    pixel: Sigma | None = None
     """[px]"""
-    inclination: float | None = Field(default=None, ge=1e-12, le=1e3)
+    inclination: Sigma | None = None
     """[rad]"""
     rows: Literal["relative", "absolute", "ignore"] = "relative"
     """What the `std_*` columns are taken for."""
@@ -127,7 +132,7 @@ LAST_LINE = 100_000
 """Below which no header stands."""
 
 
-def _known(encoding: str) -> str:
+def _of_text(encoding: str) -> str:
     try:
         if not codecs.lookup(encoding)._is_text_encoding:
             raise LookupError
@@ -138,12 +143,12 @@ def _known(encoding: str) -> str:
     return encoding
 
 
-def _shown(name: str) -> str:
+def _can_be_shown(name: str) -> str:
     check_name(name, "measurements.table", CampaignError)
     return name
 
 
-Name = Annotated[str, AfterValidator(_shown)]
+Name = Annotated[str, AfterValidator(_can_be_shown)]
 
 Line = Annotated[int, Field(ge=1, le=LAST_LINE)]
 
@@ -161,7 +166,7 @@ class TableSettings(Section):
 
     sheet: Name = ""
     """Of a workbook, where it has several; of `export: robot_calibration` the sensor."""
-    encoding: Annotated[str, AfterValidator(_known)] = "utf-8"
+    encoding: Annotated[str, AfterValidator(_of_text)] = "utf-8"
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
     decimal: Literal[".", ","] = "."
     thousands: Literal["", ".", ",", "'", "blank"] = ""
@@ -250,6 +255,9 @@ class Units(Section):
         return self.scale(column, "length" if kind == "prismatic" else "angle")
 
 
+SEQUENCE = re.compile(r"(?!.*(.)\1)([xyz]{3}|[XYZ]{3})")
+"""Axes of Euler angles in scipy's letters: three of one case, none twice in a row."""
+
 HOW_WRITTEN = (
     "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
 )
@@ -271,13 +279,8 @@ class Orientation(Section):
     @field_validator("euler")
     @classmethod
     def _scipy_letters(cls, euler: str | None) -> str | None:
-        if euler is not None:
-            one_case = euler in (euler.upper(), euler.lower())
-            repeated = any(a == b for a, b in itertools.pairwise(euler))
-            if len(euler) != 3 or not one_case or repeated or not set(euler.lower()) <= set("xyz"):
-                raise ValueError(
-                    f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)"
-                )
+        if euler is not None and not SEQUENCE.fullmatch(euler):
+            raise ValueError(f"{euler!r} is no sequence of axes; write XYZ (turning with the body) or xyz (fixed axes)")
         return euler
 
     @model_validator(mode="after")
@@ -286,6 +289,16 @@ class Orientation(Section):
         if ways > 1 or (self.euler is None) != (self.columns is None):
             raise ValueError(HOW_WRITTEN)
         return self
+
+    @property
+    def angles(self) -> tuple[str, ...] | None:
+        """Columns of Euler angles or of a rotation vector; `None` where there are neither."""
+        return self.columns or self.rotvec
+
+    @property
+    def own(self) -> tuple[str, ...] | None:
+        """Columns of angles or of a matrix; `None` where there is a quaternion."""
+        return self.angles or self.matrix
 
 
 class JointColumn(Section):
@@ -306,25 +319,24 @@ class JointColumn(Section):
     @field_validator("zero", mode="before")
     @classmethod
     def _has_its_unit(cls, zero: object) -> object:
-        found = AMOUNT.fullmatch(str(zero).strip())
-        if found is None or found[2] not in {**ANGLES, **LENGTHS} or abs(float(found[1])) > LARGEST:
+        number, unit = amount(zero)
+        if unit not in {**ANGLES, **LENGTHS} or abs(number) > LARGEST:
             raise ValueError(
                 f"should be a number with its unit ({', '.join([*ANGLES, *LENGTHS])}), 90deg for instance: what the column shows "
                 f"where the URDF's joint is at 0; not {shortened(str(zero))!r}"
             )
-        return f"{found[1]}{found[2]}"
+        return "".join(str(zero).split())
 
     @property
     def zero_unit(self) -> str:
         """The unit of `zero`; empty without it."""
-        found = AMOUNT.fullmatch(self.zero or "")
-        return found[2] if found else ""
+        return amount(self.zero)[1]
 
     @property
     def shown_at_zero(self) -> float:
         """`zero` in [rad] or [m]."""
-        found = AMOUNT.fullmatch(self.zero or "")
-        return float(found[1]) * {**ANGLES, **LENGTHS}[found[2]] if found else 0.0
+        number, unit = amount(self.zero or "0rad")
+        return number * {**ANGLES, **LENGTHS}[unit]
 
 
 class MeasurementSettings(Section):
@@ -423,13 +435,8 @@ class MeasurementSettings(Section):
         """Columns without which a table is none of this block, beside the joints."""
         names: tuple[str, ...]
         if self.traits.tracked:
-            own = (
-                self.orientation.columns
-                or self.orientation.rotvec
-                or self.orientation.matrix
-                or ("qx", "qy", "qz", "qw")
-            )
-            names = ("x", "y", "z", *(own if self.traits.oriented else ()))
+            turned = self.orientation.own or ("qx", "qy", "qz", "qw")
+            names = ("x", "y", "z", *(turned if self.traits.oriented else ()))
         else:
             kind = self.traits
             labels = [role.name for role in kind.roles if role.name in (*LABELLED, "plane")]

@@ -29,14 +29,9 @@ def column_of(quantity: str, settings: MeasurementSettings, joint_names: Collect
     return quantity if quantity in joint_names else settings.columns.get(quantity, quantity)
 
 
-def angle_columns(settings: MeasurementSettings) -> tuple[str, str, str] | None:
-    """Columns of the campaign's Euler angles or rotation vectors; `None` where it has quaternions or matrices."""
-    return settings.orientation.columns or settings.orientation.rotvec
-
-
-def own_orientation(settings: MeasurementSettings) -> tuple[str, ...] | None:
-    """Columns of the campaign's angles or matrices; `None` where it has quaternions."""
-    return angle_columns(settings) or settings.orientation.matrix
+def orientation_columns(settings: MeasurementSettings, joint_names: Collection[str] = ()) -> tuple[str, ...]:
+    """Columns of the campaign's orientations: three angles, nine of a matrix, or the four numbers of a quaternion."""
+    return settings.orientation.own or tuple(column_of(name, settings, joint_names) for name in QUATERNION)
 
 
 def turned(cells: np.ndarray, settings: MeasurementSettings) -> Rotation:

@@ -4,19 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import (
-    BeforeValidator,
-    Field,
-    model_validator,
-)
+from pydantic import BeforeValidator, Field, model_validator
 
 from aridcal.errors import has_controls
-from aridcal.inputs.measurement_settings import (
-    LENGTHS,
-    SMALL_ANGLES,
-    listed,
-    with_unit,
-)
+from aridcal.inputs.measurement_settings import LENGTHS, SMALL_ANGLES, listed, with_unit
 from aridcal.inputs.yaml_file import Number, RelativePath, Section, Vector3
 
 

@@ -19,15 +19,15 @@ from aridcal.inputs.orientations import (
     POSITION,
     QUATERNION,
     QUATERNION_SLACK,
-    angle_columns,
     column_of,
     normalised,
     of_matrices,
+    orientation_columns,
     other_way,
-    own_orientation,
     turned,
 )  # fmt: skip
 from aridcal.inputs.remarks import Remark
+from aridcal.inputs.yaml_file import FINEST, LARGEST
 from aridcal.instruments import pose
 from aridcal.reading.names import LONGEST_NAME
 from aridcal.robot.chain import JointKind
@@ -47,10 +47,6 @@ CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 
 # Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
 SAME_ORIENTATION = 1e-3
-# No reading and no place is that large, [rad] or [m].
-ABSURD = 1e9
-# No sigma of a measurement is smaller, [m] or [rad]: the noise of a campaign may not be, either.
-FINEST = 1e-12
 # A covariate that large is a hole: some programs write 1e308 where they know nothing.
 UNUSABLE = 1e30
 # Of a column that would contradict the campaign.
@@ -73,6 +69,8 @@ class Source:
         table: The cells.
         settings: Which column holds which quantity, in which unit.
         joint_names: Joints whose readings are columns of the table.
+        kinds: Kind of each joint: prismatic ones are in units of length; limits of a ``continuous`` one count whole turns.
+        limits: Lower and upper limit of each joint, shape (columns, 2), [rad] or [m].
         origin: The file that the settings come from, for messages.
         stated: Joints of which `robot.joints` or `robot.coupled` says where they are: they have no column.
         usable: Rows in which nothing needed was wrong so far, shape (N,) bool.
@@ -84,6 +82,8 @@ class Source:
     table: Table
     settings: MeasurementSettings
     joint_names: tuple[str, ...]
+    kinds: Sequence[JointKind]
+    limits: np.ndarray
     origin: str
     stated: Collection[str] = ()
     usable: np.ndarray = field(init=False)
@@ -122,65 +122,61 @@ class Source:
         """Column that holds a quantity."""
         return column_of(quantity, self.settings, self.joint_names)
 
-    def refuse(self, bad: np.ndarray, column: str, why: str) -> None:
+    def refuse(self, bad: np.ndarray, column: str, why: str, value: np.ndarray | None = None) -> None:
         """Refuse rows that are still usable.
 
         Args:
             bad: Which, shape (N,) bool.
             column: Where their fault stands.
             why: What is wrong, for messages.
+            value: What several cells of a row amount to, shape (N,), in place of the one cell that the messages show.
         """
         rows = np.flatnonzero(bad & self.usable)
-        self.refused += [self.table.remark(row, column, why) for row in rows.tolist()]
+        shown = len(rows) * [None] if value is None else [f"{of_row:.6g}" for of_row in value[rows].tolist()]
+        cells = zip(rows.tolist(), shown, strict=True)
+        self.refused += [self.table.remark(row, column, why, cell) for row, cell in cells]
         self.usable[rows] = False
 
     def refusals(self) -> tuple[Remark, ...]:
         """All refusals in the order of the files."""
         rank = {path.name: k for k, path in enumerate(self.table.files)}
-        in_order = sorted(self.refused, key=lambda remark: (rank[remark.file], remark.row or 0))
-        return tuple(in_order)
+        return tuple(sorted(self.refused, key=lambda remark: (rank[remark.file], remark.row or 0)))
 
     def note(self, column: str, why: str) -> None:
         """Say something about a column, or about the whole table."""
         self.notices.append(Remark(self.table.files[0].name, None, column, "", why))
 
-    def joints(self, kinds: Sequence[JointKind], needed: np.ndarray | None = None) -> np.ndarray:
+    def joints(self, needed: np.ndarray | None = None) -> np.ndarray:
         """All readings, shape (N, columns), [rad] or [m]; rows that lack one that they need are refused.
 
         Args:
-            kinds: Of each joint: prismatic ones are in units of length.
             needed: Which joints a row needs, shape (N, columns) bool: the others are 0 where a cell is empty; None: all.
 
         Raises:
             MeasurementError: a joint that is needed has no column.
         """
-        if needed is not None and not needed.all():
-            return self._joints_of_paths(kinds, needed)
+        needed = np.ones((1, len(self.joint_names)), dtype=bool) if needed is None else needed
+        columns = [self.joint_columns[k] for k in np.flatnonzero(needed.any(axis=0)).tolist()]
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
-        self.table.require(self.joint_columns, advice)
-        own = counting(self.settings, self.joint_names, kinds)
-        return own.of_shown(self.needed(self.joint_columns, own.unit))
-
-    def _joints_of_paths(self, kinds: Sequence[JointKind], needed: np.ndarray) -> np.ndarray:
-        """Readings of joints that not every row needs."""
-        asked = [self.joint_columns[k] for k in np.flatnonzero(needed.any(axis=0)).tolist()]
-        advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
-        self.table.require(asked, advice)
-        q = self.seeds(kinds)
+        self.table.require(columns, advice)
+        if needed.all():
+            own = counting(self.settings, self.joint_names, self.kinds)
+            return own.of_shown(self.needed(columns, own.unit))
+        q = self.seeds()
         for k, name in enumerate(self.joint_columns):
             self.refuse(needed[:, k] & np.isnan(q[:, k]), name, "not a number, and the joint is on the row's path")
         return np.where(np.isnan(q), 0.0, q)
 
-    def seeds(self, kinds: Sequence[JointKind]) -> np.ndarray:
+    def seeds(self) -> np.ndarray:
         """Readings where there are some, NaN elsewhere; nothing is refused."""
         values = np.full((len(self.table), len(self.joint_names)), np.nan)
-        own = counting(self.settings, self.joint_names, kinds)
+        own = counting(self.settings, self.joint_names, self.kinds)
         for k, name in enumerate(self.joint_columns):
             if name in self.table.cells:
                 self._take([name])
                 numbers, _ = self.table.numbers(name)
                 shown = numbers * own.unit[k]
-                values[:, k] = np.where(np.abs(shown) <= ABSURD, shown, np.nan)
+                values[:, k] = np.where(np.abs(shown) <= LARGEST, shown, np.nan)
         return own.of_shown(values)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
@@ -208,8 +204,8 @@ class Source:
 
     @property
     def orientation_columns(self) -> list[str]:
-        """Columns of the campaign's own orientation: three angles, nine of a matrix, or the four of a quaternion."""
-        return list(own_orientation(self.settings) or (self.column(name) for name in QUATERNION))
+        """Columns of the campaign's orientations: see :func:`orientations.orientation_columns`."""
+        return list(orientation_columns(self.settings, self.joint_names))
 
     def quaternion(self) -> np.ndarray:
         """Orientations as the columns have them, as unit quaternions, shape (N, 4); rows that have none are refused.
@@ -220,29 +216,17 @@ class Source:
         columns = self.orientation_columns
         advice = "Say under measurements how orientations are given (`orientation`), or `kind: position`"
         self.table.require(columns, advice)
-        if angle_columns(self.settings):
+        if self.settings.orientation.angles:
             return self._from_angles(columns)
-        return self._from_matrices(columns) if self.settings.orientation.matrix else self._from_quaternions(columns)
-
-    def _from_matrices(self, columns: list[str]) -> np.ndarray:
-        """Columns of rotation matrices as unit quaternions, shape (N, 4); rows that have none are refused."""
-        quaternion, off = of_matrices(self.needed(columns, 1.0), self.usable)
-        self._refuse_each(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
+        cells = self.needed(columns, 1.0)
+        if self.settings.orientation.matrix:
+            quaternion, off = of_matrices(cells, self.usable)
+            self.refuse(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
+        else:
+            quaternion, norm = normalised(cells, self.usable)
+            off = np.abs(norm - 1)
+            self.refuse(off > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm)
         return np.where(self.usable[:, None], quaternion, IDENTITY)
-
-    def _from_quaternions(self, columns: list[str]) -> np.ndarray:
-        """Columns of quaternions, made to have norm 1, shape (N, 4)."""
-        quaternion, norm = normalised(self.needed(columns, 1.0), self.usable)
-        self._refuse_each(
-            np.abs(norm - 1) > QUATERNION_SLACK, " ".join(columns), "the norm of the quaternion is not 1", norm
-        )
-        return np.where(self.usable[:, None], quaternion, IDENTITY)
-
-    def _refuse_each(self, bad: np.ndarray, columns: str, why: str, value: np.ndarray) -> None:
-        """Refuse rows for what several of their cells together are."""
-        for row in np.flatnonzero(bad & self.usable).tolist():
-            self.refused.append(self.table.remark(row, columns, why, f"{value[row]:.6g}"))
-            self.usable[row] = False
 
     def _from_angles(self, columns: list[str]) -> np.ndarray:
         """Columns of Euler angles or of a rotation vector as unit quaternions, shape (N, 4)."""
@@ -262,7 +246,7 @@ class Source:
         own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
         if own == second or not all(self.has(name) for name in (*own, *second)):
             return
-        scales = self._angle_scales(own) if angle_columns(self.settings) else 1.0
+        scales = self._angle_scales(own) if self.settings.orientation.angles else 1.0
         angles, also = self.table.matrix(own) * scales, self.table.matrix(second)
         whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
         rows = np.flatnonzero(self.usable & whole)
@@ -312,12 +296,13 @@ class Source:
             raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
         return std if given else None
 
-    def labels(self, quantity: str, needed: str = "") -> np.ndarray | None:
+    def labels(self, quantity: str, needed: str = "", filled: bool = False) -> np.ndarray | None:
         """A column of words, shape (N,); `None` if there is none.
 
         Args:
             quantity: ``station``, ``split``, ``target``, or what rows of the kind refer to.
             needed: What needs it, ``station`` or a kind; then rows without a word are refused.
+            filled: True if they are, too, where there is such a column.
 
         Raises:
             MeasurementError: it is needed, but not there.
@@ -331,7 +316,7 @@ class Source:
         words = self.table.texts(name)
         unsafe = np.array([has_controls(word) or len(word) > LONGEST_NAME for word in words.tolist()], dtype=bool)
         self.refuse(unsafe, name, "a label with control characters, or too long")
-        if needed:
+        if needed or filled:
             self.refuse(words == "", name, "empty")
         return words
 
@@ -427,7 +412,7 @@ class Source:
         for k, name in enumerate(columns):
             with np.errstate(over="ignore", invalid="ignore"):  # of cells that are refused
                 values[:, k] = self._finite(name) * scales[k]
-            too_large = np.abs(values[:, k]) > ABSURD
+            too_large = np.abs(values[:, k]) > LARGEST
             self.refuse(too_large, name, "implausibly large")
         return values
 

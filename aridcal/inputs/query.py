@@ -148,8 +148,8 @@ def load_query(
     table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
-    source = Source(table, settings, tuple(readings), table.title, stated)
-    q = source.seeds(kinds) if poses else source.joints(kinds)
+    source = Source(table, settings, tuple(readings), kinds, limits, table.title, stated)
+    q = source.seeds() if poses else source.joints()
     position, quaternion = None, None
     if poses and not settings.traits.place_alone:
         position, quaternion = source.pose()
@@ -162,13 +162,17 @@ def load_query(
     first = TARGET if label == TARGET else STATION
     station = source.labels(first, needed=first if per_station else "")
     target = source.labels(TARGET, needed=TARGET) if label == "both" else None
-    of_stations = _stations(source, station if first == STATION else None) if of_labels else None
+    of_stations = station
+    if of_labels:
+        why = "this calibration has constants by station: name each row's, or leave its cell empty for the one model of all"
+        source.table.require([source.column(STATION)], why)
+        of_stations = station if first == STATION else source.labels(STATION)
     covariates = source.covariates() | label_columns(of_labels, of_stations)
     _refuse_text(source, poses)
     _refuse_holes(source, covariates, needs)
     if source.usable.any():
-        check_units(source, q, limits, kinds, position)
-        note_limits(source, q, limits, kinds)
+        check_units(source, q, position)
+        note_limits(source, q)
     for values in (q, position, quaternion):
         if values is not None:
             values[~source.usable] = np.nan
@@ -185,13 +189,6 @@ def load_query(
         notices=tuple(source.notices),
         target=target,
     )
-
-
-def _stations(source: Source, read: np.ndarray | None) -> np.ndarray | None:
-    """Labels of the rows, which effects depend on, shape (N,), if they are not read yet."""
-    why = "this calibration has constants by station: name each row's, or leave its cell empty for the one model of all"
-    source.table.require([source.column(STATION)], why)
-    return source.labels(STATION) if read is None else read
 
 
 def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readings: Sequence[str]) -> pd.DataFrame:

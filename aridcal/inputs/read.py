@@ -15,7 +15,6 @@ from aridcal.inputs.checks import (
     check_distances,
     check_units,
     note_limits,
-    note_stale,
     nothing_usable,
     refuse_copies,
     refuse_impossible_readings,
@@ -28,9 +27,8 @@ from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, by_content, places
 from aridcal.inputs.routes import needed_columns, numbered, routes_of
 from aridcal.inputs.row_facts import ROLES, Labels, Origin, Repeats, untold
-from aridcal.inputs.split import draw_split, with_training_labels, with_training_rows
+from aridcal.inputs.split import draw_split, with_training_rows
 from aridcal.inputs.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.pose import pose_numbers, turned
 from aridcal.instruments.setup import TIP, Block
@@ -111,77 +109,70 @@ def load_measurements(
     robot = robot if campaign.links else None
     asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
     of_blocks = _tables_of_blocks(campaign, files)
-    parts = [_block(asked, number, tables, alone=len(campaign.blocks) == 1) for number, tables in of_blocks]
-    if not require_pose or _direct(campaign, parts[0].rows):
-        rows = parts[0].rows
-        if fitted:
-            rows = with_training_rows(
-                rows, campaign.question.by_station, np.full(len(rows), not rows.origin.split_given)
-            )
-        return _with_masses(weighed(rows, parts[0].noise), campaign, fitted)
-    if not fitted:
+    parts = [_block(asked, number, tables) for number, tables in of_blocks]
+    direct = not require_pose or _direct(campaign, parts[0].rows)
+    if not (direct or fitted):
         there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
-    rows = _targets_told(campaign, together([part.rows for part in parts]))
+    rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
     if fitted:
         drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
         rows = with_training_rows(rows, campaign.question.by_station, drawn)
-        rows = with_training_labels(rows, drawn)
-    rows = weighed_apart(rows, [part.noise for part in parts])
-    return _with_masses(_with_instruments(rows, asked), campaign, fitted)
+    if direct:
+        rows = weighed(rows, parts[0].noise)
+    else:
+        rows = _with_instruments(weighed_apart(rows, [part.noise for part in parts]), asked)
+    if fitted:
+        _check_masses(rows, campaign)
+    return rows
 
 
-def _with_masses(rows: Dataset, campaign: Campaign, fitted: bool) -> Dataset:
-    """Rows that are fitted, which have a covariate for each payload that the campaign hangs up; others as they are.
+def _check_masses(rows: Dataset, campaign: Campaign) -> None:
+    """Refuse rows that lack the mass of a payload that the campaign hangs up.
 
     Raises:
-        CampaignError: one has no column.
+        CampaignError: naming its column.
     """
-    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True) if fitted else ()):
+    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True)):
         if name not in rows.covariates:
             raise CampaignError(
                 f"{campaign.path}: {campaign.payload_key(number)}.column: the tables have no numeric column "
                 f"{shortened(payload.column)!r}; name the one of the mass, or delete the payload"
             )
-    return rows
 
 
-def _block(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> _Part:
-    """Read one block of measurements.
-
-    Args:
-        asked: What is wanted of its tables.
-        number: Of the block in the campaign.
-        tables: Its tables.
-        alone: True if it is the campaign's only block.
-    """
-    rows, chosen, noise = _read(asked, number, tables, alone)
+def _block(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> _Part:
+    """Read the tables of one block of the campaign, which is told by its number."""
+    rows, chosen, noise = _read(asked, number, tables)
     give_back()  # the table's cells, which are more than all that was made of them
     rows = rows.select(chosen)  # those as they stand in the table are let go
     rows = rows.with_repeats(configuration=blocks(rows.readings, asked.kinds))
-    return _Part(
-        rows
-        if rows.origin.split_given
-        else replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed)),
-        noise,
-    )
+    if not rows.origin.split_given:
+        rows = replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed))
+    return _Part(rows, noise)
 
 
-def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -> tuple[Dataset, np.ndarray, RowNoise]:
-    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
-    campaign, kinds = asked.campaign, asked.kinds
-    settings = campaign.blocks[number]
+def _source(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> Source:
+    """The tables of a block as they stand in their files."""
+    campaign, settings = asked.campaign, asked.campaign.blocks[number]
     own = [settings.columns.get(name, name) for name in asked.readings]
     needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
     there = _existing(campaign, tables, asked.own_files)
     from aridcal.inputs.tables import read_tables  # slow to load: only where there are tables
 
     table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
-    source = Source(table, settings, asked.readings, str(campaign.path), campaign.robot.stated.names)
     for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
-    q = source.joints(kinds) if asked.robot is None else np.zeros((len(table), len(kinds)))
+    stated = campaign.robot.stated.names
+    return Source(table, settings, asked.readings, asked.kinds, asked.limits, str(campaign.path), stated)
+
+
+def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
+    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
+    campaign, kinds, source = asked.campaign, asked.kinds, _source(asked, number, tables)
+    table, settings = source.table, source.settings
+    q = source.joints() if asked.robot is None else np.zeros((len(table), len(kinds)))
     of_target = asked.require_pose and settings.traits.tracked
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
@@ -191,20 +182,20 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         else:
             position = source.position()
         std = source.std()
-    target = _words(source, TARGET) if TARGET in settings.own_columns else None
+    target = source.labels(TARGET, filled=True) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
         target = np.full(len(table), settings.target)
     read_here = asked.require_pose and not of_target
     observed = _observed(source) if read_here else position
     nothing = untold(len(table))
-    refers = _refers(source, asked, alone) if read_here else nothing.refers
+    refers = _refers(source, asked) if read_here else nothing.refers
     if read_here:
         camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
     if asked.robot is not None:
         paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
-        q = source.joints(kinds, needed_columns(asked.robot, paths))
-    by_station = campaign.question.by_station and (of_target or alone)
+        q = source.joints(needed_columns(asked.robot, paths))
+    by_station = campaign.question.by_station and (of_target or len(campaign.blocks) == 1)
     station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
     covariates = source.covariates()
@@ -221,16 +212,13 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
     refuse_copies(source, held, labels, sequence)  # without the time: the same pose later is a copy, too
     if not source.usable.any():
         raise nothing_usable(source)
-    check_units(source, q, asked.limits, kinds, position if of_target else None)
+    check_units(source, q, position if of_target else None)
     check_distances(source, observed)
-    note_limits(source, q, asked.limits, kinds)
-    stale, doubtful = np.full(len(table), -1), np.zeros(len(table), dtype=bool)
+    note_limits(source, q)
+    stale = doubtful = np.zeros(len(table), dtype=bool)
     if of_target:
-        parts = [position] if quaternion is None else [position, quaternion]
-        stale, doubtful = stale_rows(source, q, kinds, np.hstack(parts), sequence)
-    if quaternion is not None:
-        note_stale(source, stale)
-    if of_target:
+        measured = position if quaternion is None else np.hstack([position, quaternion])
+        stale, doubtful = stale_rows(source, q, measured, sequence, noted=quaternion is not None)
         observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
@@ -242,13 +230,8 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable], alone: bool) -
         relative=None,
         covariates=covariates,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
-        labels=Labels(
-            block=nothing.block,
-            refers=refers,
-            station=station,
-            target=target if asked.require_pose else None,
-        ),
-        repeats=Repeats(np.zeros(len(table), dtype=int), stale >= 0, doubtful),
+        labels=Labels(nothing.block, refers, station, target if asked.require_pose else None),
+        repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
         origin=Origin(
             file=table.file,
             line=table.line,
@@ -307,14 +290,6 @@ def _direct(campaign: Campaign, rows: Dataset) -> bool:
     return only and rows.labels.target is None and not campaign.links
 
 
-def _words(source: Source, quantity: str) -> np.ndarray | None:
-    """Labels of the rows where there is a column of them, shape (N,); rows with an empty one are refused."""
-    words = source.labels(quantity)
-    if words is not None:
-        source.refuse(words == "", source.column(quantity), "empty")
-    return words
-
-
 def _observed(source: Source) -> np.ndarray:
     """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
     settings, kind = source.settings, source.settings.traits
@@ -330,15 +305,15 @@ def _observed(source: Source) -> np.ndarray:
     return source.needed(cells, scale)
 
 
-def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
+def _refers(source: Source, asked: _Asked) -> np.ndarray:
     """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
     settings, known = source.settings, asked.known
     n = len(source.table)
-    labels: dict[str, np.ndarray] = {}
-    for role in KINDS[settings.kind].roles:
+    labels = {role.name: np.full(n, "") for role in settings.traits.roles}
+    for role in settings.traits.roles:
         if role.name == "board":  # what carries the marker, once that is known
             continue
-        words = source.labels(role.name, needed=settings.kind) if role.name in LABELLED else _words(source, role.name)
+        words = source.labels(role.name, needed=settings.kind if role.name in LABELLED else "", filled=True)
         if words is None:
             words = np.full(n, _default(asked.campaign, settings, role.name))
         if role.name == "camera":
@@ -347,18 +322,16 @@ def _refers(source: Source, asked: _Asked, alone: bool) -> np.ndarray:
     if "marker" in labels:
         pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
         labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
-        labels = {role.name: labels[role.name] for role in KINDS[settings.kind].roles}
     for board, stated in known.boards.items() if "marker" in labels else ():
         missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
         assert stated.file is not None
         source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
-    made = [*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))]
-    return np.column_stack(made)
+    return np.column_stack([*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))])
 
 
 def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
     """Label of all rows of a block whose table has no such column: the only thing that the campaign names, or the block's own."""
-    declared = campaign.instruments.declared[role]
+    declared = list(campaign.instruments.declared[role])
     if role == "camera" and settings.camera is not None:
         return settings.camera
     alike = [block for block in campaign.blocks if block.kind == settings.kind]
@@ -388,7 +361,7 @@ def _declared_cameras(source: Source, words: np.ndarray, known: Known) -> np.nda
     return np.where(unknown, cameras[0], words)
 
 
-def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
+def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
     """The rows with a label of their target, where there is more than one.
 
     Raises:
@@ -401,10 +374,8 @@ def _targets_told(campaign: Campaign, rows: Dataset) -> Dataset:
     if given is None and len(set(own.values())) == 1:
         return rows
     if TIP in label and TIP in own.values():
-        beside = listed(
-            [f"`kind: {kind}`" for kind in dict.fromkeys(b.kind for b in campaign.blocks) if KINDS[kind].bare]
-        )
-        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {beside}; rename it")
+        bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
+        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
     told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
     if campaign.frames.tip_target.per is not None:
         raise CampaignError(
@@ -437,7 +408,7 @@ def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
     """The rows with what is known of the things that they refer to."""
     rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, asked.readings))
     of_blocks = [
-        Rows(KINDS[b.kind], rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+        Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
     ]
     made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
     if asked.robot is not None:
@@ -513,12 +484,15 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
     Raises:
         MeasurementError: a table that is given in place of the campaign's own may be of any block or of none.
     """
-    if len(campaign.blocks) == 1:
-        return [(0, campaign.tables if files is None else files)]
     if files is None and not campaign.has_other_tables:
         return [(number, block.files) for number, block in enumerate(campaign.blocks)]
-    found: dict[int, list[AnyTable]] = {}
-    for table in campaign.tables if files is None else files:
+    tables = campaign.tables if files is None else files
+    if len(campaign.blocks) == 1:
+        return [(0, tables)]
+    from aridcal.inputs.tables import path_of  # as above
+
+    of_block: dict[int, list[AnyTable]] = {}
+    for table in tables:
         having = [k for k, block in enumerate(campaign.blocks) if block.needs <= _names(table, block, campaign)]
         needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
@@ -526,11 +500,11 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
             titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
             what = f"{'several' if most else 'none'} of the blocks {titles}"
             raise MeasurementError(
-                f"{table if isinstance(table, str | Path) else 'DataFrame'}: its columns fit {what}; give it the columns of "
-                "one, and that one columns that no other has (`columns`)"
+                f"{path_of(table)}: its columns fit {what}; give it the columns of one, and that one columns that no other "
+                "has (`columns`)"
             )
-        found.setdefault(most[0], []).append(table)
-    return sorted(found.items())
+        of_block.setdefault(most[0], []).append(table)
+    return sorted(of_block.items())
 
 
 def _names(table: AnyTable, settings: MeasurementSettings, campaign: Campaign) -> set[str]:

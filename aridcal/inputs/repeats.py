@@ -212,7 +212,7 @@ def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
     first, group = np.empty(0, dtype=int), np.array(0)
     for k, column in enumerate(columns):
         # Numbers with noise differ in the first column already: most tables end here.
-        if not k and _all_different(column):
+        if not k and not _like_the_one_before(np.sort(column)).any():
             return np.arange(len(column))
         _, number = np.unique(column, return_inverse=True)
         _, first, group = np.unique(
@@ -223,10 +223,9 @@ def first_alike(columns: Iterable[np.ndarray]) -> np.ndarray:
     return first[group]
 
 
-def _all_different(column: np.ndarray) -> bool:
-    """True if no value is there twice, and no two are missing."""
-    in_order = np.sort(column)
-    return not np.any((in_order[1:] == in_order[:-1]) | (in_order[1:] != in_order[1:]))
+def _like_the_one_before(in_order: np.ndarray) -> np.ndarray:
+    """Which sorted values but the first equal the one before, shape (N - 1,); missing ones, which stand at the end, do."""
+    return np.asarray((in_order[1:] == in_order[:-1]) | (in_order[1:] != in_order[1:]))
 
 
 def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:
@@ -237,8 +236,7 @@ def by_content(columns: Sequence[np.ndarray | None]) -> np.ndarray:
     """
     keys = [key for column in columns if column is not None for key in np.atleast_2d(column.T)]
     order = np.argsort(keys[0], kind="stable")
-    after = keys[0][order]
-    alike = (after[1:] == after[:-1]) | (after[1:] != after[1:])  # missing ones stand together at the end
+    alike = _like_the_one_before(keys[0][order])
     if not alike.any():
         return order
     tied = np.zeros(len(order), dtype=bool)

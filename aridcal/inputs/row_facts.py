@@ -5,17 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from aridcal.inputs.remarks import Remark
 from aridcal.robot.chain import Route
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
-Facts = TypeVar("Facts", "Origin", "Labels", "Repeats")
+Facts = TypeVar("Facts", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
@@ -91,9 +94,8 @@ def untold(rows: int) -> Labels:
 
 def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
-    of_all = {f.name: getattr(facts, f.name) for f in fields(facts)}
-    chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in of_all.items() if isinstance(v, np.ndarray)}
-    return replace(facts, **chosen)
+    values = {f.name: getattr(facts, f.name) for f in fields(facts)}
+    return replace(facts, **{name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
@@ -115,16 +117,12 @@ def labels_together(labels: Sequence[np.ndarray | None], counts: Sequence[int]) 
 
 def origins_together(parts: Sequence[Origin], sha256: str) -> Origin:
     """Where the rows of several parts come from, one part after the other, their order counted on."""
-    order, file, files, last = [], [], 0, 0.0
-    for part in parts:
-        order.append(part.order + last)
-        last += float(part.order[np.isfinite(part.order)].max(initial=0.0))
-        file.append(part.file + files)
-        files += len(part.files)
+    files = np.cumsum([0, *(len(part.files) for part in parts)])
+    last = np.cumsum([0.0, *(part.order[np.isfinite(part.order)].max(initial=0.0) for part in parts)])
     return Origin(
-        file=np.concatenate(file),
+        file=np.concatenate([part.file + before for part, before in zip(parts, files, strict=False)]),
         line=np.concatenate([part.line for part in parts]),
-        order=np.concatenate(order),
+        order=np.concatenate([part.order + before for part, before in zip(parts, last, strict=False)]),
         files=tuple(path for part in parts for path in part.files),
         sha256=sha256,
         refused=tuple(remark for part in parts for remark in part.refused),

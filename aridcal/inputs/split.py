@@ -11,7 +11,6 @@ from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.repeats import blocks, places
-from aridcal.instruments.catalogue import KINDS
 
 TEST_SHARE = 0.2
 """Share of the rows that is held out: a fifth, as is usual; errors of 60 rows are known to 6 %."""
@@ -30,7 +29,7 @@ def held_together(data: Dataset) -> np.ndarray:
 
 
 def repeated(data: Dataset) -> np.ndarray:
-    """The same of rows that repeat a configuration, where rows of one place err independently, shape (N,)."""
+    """Numbers of configurations, shape (N,), for rows of a place that err independently; of things with few rows, all of one."""
     return _with_things(data, blocks(data.readings, data.kinds))
 
 
@@ -63,7 +62,7 @@ def draw_split(block: np.ndarray, seed: int) -> np.ndarray:
 
 
 def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> Dataset:
-    """The same rows with training rows at every station that has a frame of its own.
+    """The same rows with training rows of everything that they refer to, and of every station that has a frame of its own.
 
     Args:
         data: N rows with their split.
@@ -71,53 +70,40 @@ def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> D
         drawn: Rows whose split was drawn; where a table says `test`, that stays, shape (N,) bool.
 
     Returns:
-        The rows; a station that the draw left without training rows has none held out, which is noted.
+        The rows; of a label that the draw left without training rows none are held out, which is noted.
 
     Raises:
         MeasurementError: a table's own split leaves a station without training rows.
     """
-    if data.labels.station is None or not per_station:
-        return data
-    lone = sorted({str(s) for s in data.labels.station} - {str(s) for s in data.labels.station[data.train]} - {""})
-    if not lone:
-        return data
-    alone = np.isin(data.labels.station.astype(str), lone)
-    if (stated := alone & ~drawn).any():
-        first = data.labels.station[stated][0]
-        raise MeasurementError(f"station {str(first)!r} has only `test` rows: its frame cannot be identified")
-    why = f"all rows of station {', '.join(lone)} are needed for its frame: none of them is held out"
-    note = Remark(data.origin.files[0].name, None, "station", "", why)
-    return replace(data, test=data.test & ~alone).with_origin(notices=(note, *data.origin.notices))
-
-
-def with_training_labels(data: Dataset, drawn: np.ndarray) -> Dataset:
-    """The same rows with training rows of everything that they refer to, and of every target.
-
-    Args:
-        data: N rows with their split.
-        drawn: Rows for which it was drawn; where a table says `test`, that stays, shape (N,) bool.
-
-    Returns:
-        The rows; a label that the draw left without training rows has none held out, which is noted.
-    """
     test, notes = data.test.copy(), []
-    for name, labels in _labels(data):
-        lone = sorted(set(labels[test & drawn].tolist()) - set(labels[~test].tolist()) - {""})
-        if lone:
-            test &= ~(drawn & np.isin(labels, lone))
-            why = f"all rows of {name} {listed(lone)} are needed to find it: none of them is held out"
+    for name, labels in _labels(data, per_station):
+        lone = sorted(set(labels[test].tolist()) - set(labels[~test].tolist()) - {""})
+        if not lone:
+            continue
+        alone = np.isin(labels, lone)
+        if name == "station" and (stated := alone & ~drawn).any():
+            first = labels[stated][0]
+            raise MeasurementError(f"station {str(first)!r} has only `test` rows: its frame cannot be identified")
+        needed = alone & drawn
+        if needed.any():
+            test &= ~needed
+            to_what = "for its frame" if name == "station" else "to find it"
+            which = listed(sorted(set(labels[needed].tolist())))
+            why = f"all rows of {name} {which} are needed {to_what}: none of them is held out"
             notes.append(Remark(data.origin.files[0].name, None, name, "", why))
     return replace(data, test=test).with_origin(notices=(*notes, *data.origin.notices))
 
 
-def _labels(data: Dataset) -> Iterator[tuple[str, np.ndarray]]:
-    """Labels of the rows in each role, and of their targets; shape (N,) each, empty where a row has none."""
-    found: dict[str, np.ndarray] = {}
+def _labels(data: Dataset, per_station: bool) -> Iterator[tuple[str, np.ndarray]]:
+    """Labels of the rows' stations, of what they refer to in each role, and of their targets; shape (N,), empty where none."""
+    if per_station and data.labels.station is not None:
+        yield "station", data.labels.station
+    of_role: dict[str, np.ndarray] = {}
     for number, block in enumerate(data.blocks):
         own = data.labels.block == number
-        for k, role in enumerate(KINDS[block.kind].roles):
-            labels = found.setdefault(role.name, np.zeros(len(data), dtype=data.labels.refers.dtype))
+        for k, role in enumerate(() if block.traits.tracked else block.traits.roles):  # a tracker has no label yet
+            labels = of_role.setdefault(role.name, np.zeros(len(data), dtype=data.labels.refers.dtype))
             labels[own] = data.labels.refers[own, k]
+    yield from of_role.items()
     if data.labels.target is not None:
-        found["target"] = data.labels.target
-    yield from found.items()
+        yield "target", data.labels.target

@@ -92,10 +92,8 @@ class Table:
         Returns:
             The values, shape (N,), NaN where there is none; and which cells hold text instead, shape (N,) bool.
         """
-        by_file = [_numbers(column) for column in self.cells[name]]
-        values = np.concatenate([values for values, _ in by_file])
-        is_text = np.concatenate([is_text for _, is_text in by_file])
-        return values, is_text
+        values, is_text = zip(*map(_numbers, self.cells[name]), strict=True)
+        return np.concatenate(values), np.concatenate(is_text)
 
     def written_otherwise(self, name: str, is_text: np.ndarray) -> str:
         """Why most cells of a column hold no numbers though they look like some, with the remedy; empty if they do not.
@@ -142,11 +140,8 @@ class Table:
         """All cells, as they were written in csv."""
         import pandas as pd  # slow to load: only where somebody wants a DataFrame
 
-        columns = {}
-        for name in self.names:
-            by_file = [column.to_pandas() for column in self.cells[name]]
-            columns[name] = np.concatenate(by_file)
-        return pd.DataFrame(columns)
+        by_name = {name: [column.to_pandas() for column in self.cells[name]] for name in self.names}
+        return pd.DataFrame({name: np.concatenate(by_file) for name, by_file in by_name.items()})
 
     def require(self, columns: Sequence[str], advice: str = "") -> None:
         """Check that columns are there.
@@ -164,23 +159,9 @@ class Table:
         raise MeasurementError(f"{self.title}: no column {wanted}; there are: {there}. {advice}".rstrip())
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One file, read.
-
-    Attributes:
-        path: Its name, for messages.
-        cells: Its columns, n rows.
-        line: Line of each row, shape (n,).
-        refused: Rows that do not have as many cells as the header; they are not among the n.
-        left_out: Columns that are there and were not read.
-    """
-
-    path: Path
-    cells: pa.Table
-    line: np.ndarray
-    refused: tuple[Remark, ...]
-    left_out: tuple[str, ...]
+def path_of(table: AnyTable) -> Path:
+    """The file of a table; what messages call one that has none."""
+    return Path(table) if isinstance(table, str | Path) else IN_MEMORY
 
 
 def read_tables(
@@ -205,11 +186,13 @@ def read_tables(
             the files do not have the same columns.
     """
     sha256 = hashlib.sha256()
+    paths = tuple(map(path_of, tables))
     parts = [_read(table, spare, limit, sha256.update, dialect, needed) for table in tables]
-    having = {name: part.path for part in reversed(parts) for name in part.cells.column_names}
+    files = list(zip(paths, parts, strict=True))
+    having = {name: path for path, part in reversed(files) for name in part.cells.column_names}
     lacking: dict[str, Path] = {}
-    for part in reversed(parts):
-        lacking |= dict.fromkeys((having.keys() | set(part.left_out)) - set(part.cells.column_names), part.path)
+    for path, part in reversed(files):
+        lacking |= dict.fromkeys((having.keys() | set(part.left_out)) - set(part.cells.column_names), path)
     for name in sorted(lacking if spare is not None else ()):
         if name not in (spare or ()):
             raise MeasurementError(
@@ -219,12 +202,14 @@ def read_tables(
     names = [name for name in parts[0].cells.column_names if name not in lacking]
     counts = [part.cells.num_rows for part in parts]
     return Table(
-        files=tuple(part.path for part in parts),
+        files=paths,
         names=tuple(names),
         cells={name: tuple(part.cells[name] for part in parts) for name in names},
         file=np.repeat(np.arange(len(parts)), counts),
         line=np.concatenate([part.line for part in parts]),
-        refused=tuple(remark for part in parts for remark in part.refused),
+        refused=tuple(
+            Remark(path.name, row.line, "", row.text, row.why) for path, part in files for row in part.broken
+        ),
         sha256=sha256.hexdigest(),
         partial=lacking,
     )
@@ -237,24 +222,20 @@ def _read(
     update: Callable[[bytes], None],
     dialect: Dialect,
     needed: Collection[str] | None,
-) -> _Part:
+) -> FileCells:
     """Read one table; its bytes are handed to ``update`` and not kept."""
     if not isinstance(table, str | Path):
-        read, path = _from_frame(table), IN_MEMORY
+        cells = _from_frame(table)
         update(table.to_csv(index=False).encode())
-    else:
-        path = Path(table)
-        check_path(path, MeasurementError)
-        ending = path.suffix.lower()
-        check_ending(path, dialect)
-        content = read_file(path, MeasurementError, limit)
-        update(content)
-        if ending == ".parquet":
-            read = read_parquet(content, path, limit, spare)
-        else:
-            read = _read_text(content, path, limit, dialect, needed)
-    refused = [Remark(path.name, row.line, "", row.text, row.why) for row in read.broken]
-    return _Part(path, read.cells, read.line, tuple(refused), read.left_out)
+        return cells
+    path = Path(table)
+    check_path(path, MeasurementError)
+    check_ending(path, dialect)
+    content = read_file(path, MeasurementError, limit)
+    update(content)
+    if path.suffix.lower() == ".parquet":
+        return read_parquet(content, path, limit, spare)
+    return _read_text(content, path, limit, dialect, needed)
 
 
 def check_ending(path: Path, dialect: Dialect = PLAIN) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ from aridcal.inputs.instrument_settings import (
     PlaneSettings,
 )
 from aridcal.inputs.measurement_settings import FAR
-from aridcal.inputs.yaml_file import LARGEST
+from aridcal.inputs.yaml_file import FINEST, LARGEST
 from aridcal.instruments.joined import GRASP
 from aridcal.instruments.kind import Kind, Role
 from aridcal.instruments.pose import TRACKER
@@ -34,11 +34,11 @@ from aridcal.reading.names import check_name
 BOARD = "board_on_"
 """A board is called after what carries it."""
 
-LEAST_STD = 1e-12
-"""[m] Smallest sigma of a known point: smaller ones cannot be divided by."""
-
 RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
+
+UNDECLARED: dict[str, AnchorSettings | PlaneSettings] = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
+"""Of what nothing is stated; nothing sees through a camera that is not declared."""
 
 HAVE_LENGTHS = ("point", "anchor", "marker")
 """Things between which a length may be known."""
@@ -87,7 +87,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
             raise MeasurementError(str(table.remark(row, key, why)))
         for name, value in zip(numbers, cells.tolist(), strict=True):
             exact = name == "std" and table.cell(row, name).strip() == ""
-            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= LEAST_STD)):
+            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= FINEST)):
                 what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
                 raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
@@ -126,19 +126,15 @@ class Known:
 
     def carrier(self, role: str, label: str) -> str:
         """What carries a thing: ``tip``, ``world`` or a link."""
-        settings = self.settings
-        if role == "anchor" and label in settings.anchors:
-            return settings.anchors[label].on
-        if role == "plane" and label in settings.planes:
-            return settings.planes[label].on
-        if role == "camera":
-            return settings.cameras[label].on
+        declared = self.settings.declared.get(role, {})
+        if label in declared:
+            return declared[label].on
         if role == "board":
             return label.removeprefix(BOARD)
         if role == GRASP.name:
             return ""  # links that its block names
         if role == "point":
-            return (label in self.points and self.points[label].on) or settings.points.on
+            return (label in self.points and self.points[label].on) or self.settings.points.on
         return WORLD
 
     def linked(self, role: str, label: str) -> bool:
@@ -153,17 +149,11 @@ class Known:
             label: Its name.
             on_board: True of markers of the board.
         """
-        settings = self.settings
         if role == TRACKER:
             return [0.0] * role.size, [False] * len(role.components), np.inf
-        if role.name == "anchor":
-            anchor = settings.anchors.get(label, AnchorSettings())
-            return anchor.state, anchor.free, np.inf
-        if role.name == "plane":
-            plane = settings.planes.get(label, PlaneSettings())
-            return plane.state, plane.free, np.inf
-        if role.name == "camera":
-            return settings.cameras[label].state, settings.cameras[label].free, np.inf
+        if role.name in self.settings.declared:
+            thing = self.settings.declared[role.name].get(label) or UNDECLARED[role.name]
+            return thing.state, thing.free, np.inf
         if role == GRASP:
             return Placement().place(known=False), 6 * [True], np.inf
         if role.name == "board":
@@ -285,17 +275,17 @@ def _check_names(seen: dict[str, tuple[str, ...]], joints: Collection[str]) -> N
             {name for other, names in seen.items() if other != role for name in names} if role == "camera" else set()
         )
         for label in labels:
-            if label in joints or RESERVED.fullmatch(label) or label in others:
-                what = (
-                    "a joint"
-                    if label in joints
-                    else "a place of corrections"
-                    if label not in others
-                    else "another thing"
-                )
-                raise MeasurementError(
-                    f"the {role} {label!r} has the name of {what}: rename it, in the tables and the campaign"
-                )
+            if label in joints:
+                what = "a joint"
+            elif label in others:
+                what = "another thing"
+            elif RESERVED.fullmatch(label):
+                what = "a place of corrections"
+            else:
+                continue
+            raise MeasurementError(
+                f"the {role} {label!r} has the name of {what}: rename it, in the tables and the campaign"
+            )
 
 
 def _role_of(
@@ -377,9 +367,9 @@ def _too_few(
 
 def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]:
     """Things of which the campaign knows something and the rows nothing; of a board not all markers need be seen."""
-    of_role = {"point": tuple(known.points), **known.settings.declared}
+    of_role: dict[str, Mapping[str, object]] = {"point": known.points, **known.settings.declared}
     if "marker" not in seen:
-        of_role["marker"] = tuple(known.markers)
+        of_role["marker"] = known.markers
     for role, labels in of_role.items():
         absent = sorted(set(labels) - set(seen.get(role, ())))
         if absent:
@@ -390,18 +380,10 @@ def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -
     """True where anything is known in the world frame, or was measured in it."""
     if any(rows.kind.tracked for rows in blocks):
         return True
-    place = {
-        "point": slice(0, 3),
-        "anchor": slice(0, 3),
-        "plane": slice(0, 3),
-        "camera": slice(0, 6),
-        "board": slice(0, 6),
-    }
-    for name, of_role in things.items():
-        for label, free, std in zip(of_role.names, of_role.free, of_role.std, strict=True):
-            of_board = name == "board" and label not in known.boards
-            if name in place and known.carrier(name, label) == WORLD and not of_board:
-                part = place[name]
-                if not (free[part] & ~np.isfinite(std[part])).any():
-                    return True
+    size = {"point": 3, "anchor": 3, "plane": 3, "camera": 6, "board": 6}  # of the place among what may be identified
+    for name in size.keys() & things.keys():
+        unknown = (things[name].free & ~np.isfinite(things[name].std))[:, : size[name]].any(axis=1)
+        for label in np.array(things[name].names)[~unknown].tolist():
+            if known.carrier(name, label) == WORLD and (name != "board" or label in known.boards):
+                return True
     return False

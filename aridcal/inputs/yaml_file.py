@@ -45,6 +45,9 @@ LARGEST_NUMBER = 1e15
 LARGEST = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
 
+FINEST = 1e-12
+"""[m], [rad], [px]: no length and no sigma is smaller; these could not be divided by."""
+
 TEXT = "tag:yaml.org,2002:str"
 
 Location = tuple[str | int, ...]
@@ -90,8 +93,8 @@ RelativePath = Annotated[Path, BeforeValidator(_path)]
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
-Positive = Annotated[float, Field(ge=1e-12, le=LARGEST)]
-"""A length, a focal length or a sigma: smaller ones cannot be divided by."""
+Positive = Annotated[float, Field(ge=FINEST, le=LARGEST)]
+"""A length, a focal length or a sigma."""
 
 Vector3 = tuple[Number, Number, Number]
 
@@ -172,13 +175,8 @@ AnySettings = TypeVar("AnySettings", bound=Settings)
 def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
     """Decode UTF-8 with or without a byte order mark.
 
-    Args:
-        content: Bytes of a file.
-        path: The file, for messages.
-        error: The kind of error to raise.
-
     Raises:
-        AridcalError: of the given kind, naming the line that is something else.
+        AridcalError: of the given kind, naming the file and the line that is something else.
     """
     try:
         return content.decode("utf-8-sig")
@@ -187,15 +185,7 @@ def decode(content: bytes, path: Path, error: type[AridcalError]) -> str:
 
 
 def load_settings(path: str | Path, model: type[AnySettings], limit: Limit = SETTINGS) -> AnySettings:
-    """Read a settings file.
-
-    Args:
-        path: A YAML file in UTF-8.
-        model: What it must look like.
-        limit: How large the file may be.
-
-    Returns:
-        The settings, paths made relative to the file's folder.
+    """Read a settings file, YAML in UTF-8, whose paths are relative to its folder.
 
     Raises:
         CampaignError: naming the file, the line, the key and the remedy.
@@ -206,12 +196,7 @@ def load_settings(path: str | Path, model: type[AnySettings], limit: Limit = SET
 
 
 def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettings:
-    """Check the text of a settings file as :func:`load_settings` does.
-
-    Args:
-        text: YAML.
-        path: Whence it came; the paths in it are relative to that file's folder.
-        model: What it must look like.
+    """Check the text of a settings file, whose path need not exist, as :func:`load_settings` does.
 
     Raises:
         CampaignError: naming the file, the line, the key and the remedy.
@@ -230,13 +215,7 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
 
 
 def validated(keys: dict[str, Any], lines: dict[Location, int], path: Path, model: type[AnySection]) -> AnySection:
-    """Check keys that were read.
-
-    Args:
-        keys: As :func:`parse_yaml` gives them.
-        lines: Line of each.
-        path: Whence they came.
-        model: What they must look like.
+    """Check what :func:`parse_yaml` gives: keys, and the line of each.
 
     Raises:
         CampaignError: naming the file, the line, the key and the remedy.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from aridcal.errors import MeasurementError, listed
 from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.inputs.quantities import TURNS
-from aridcal.inputs.tables import AnyTable, Table, read_tables
+from aridcal.inputs.tables import AnyTable, Table, path_of, read_tables
 from aridcal.logs.log import Log, in_order
 from aridcal.logs.others import Others, others_of
 from aridcal.prepare.column_names import match_joints, named, positions, unit
@@ -70,7 +69,7 @@ def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str |
     dialects, _ = dialects_of([source], asker)
     words = [f"decimal {'point' if one.decimal == '.' else 'comma'}, thousands {one.thousands!r}" for one in dialects]
     k = (
-        asker.pick(f"{which}.decimal", f"{_title(source)}: how are numbers written", words, "more than one may be")
+        asker.pick(f"{which}.decimal", f"{path_of(source)}: how are numbers written", words, "more than one may be")
         if len(dialects) > 1
         else 0
     )
@@ -194,7 +193,3 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
         answers = [f"{word} ({1.0 / (period * TIMES[word]):.3g} samples a second)" for word in possible]
         k = asker.pick(f"{which}.time", f"{table.title}: in which unit is {column}", answers, "its name does not say")
     return column, values * TIMES[possible[k]]
-
-
-def _title(source: AnyTable) -> str:
-    return str(source) if isinstance(source, str | Path) else "DataFrame"

@@ -9,7 +9,8 @@ import pandas as pd
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.orientations import QUATERNION
-from aridcal.inputs.quantities import FINEST, POSITION, STD
+from aridcal.inputs.quantities import POSITION, STD
+from aridcal.inputs.yaml_file import FINEST
 from aridcal.logs.alignment import Moves, improved, jump, placed, window_means
 from aridcal.logs.averages import Averages, averages, without_spikes
 from aridcal.logs.clocks import MOST_DRIFT, Clocks

@@ -9,7 +9,7 @@ import pandas as pd
 
 from aridcal.errors import AridcalError, MeasurementError
 from aridcal.inputs.measurement_settings import ANGLES, LENGTHS, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, normalised, own_orientation, turned
+from aridcal.inputs.orientations import QUATERNION, normalised, orientation_columns, turned
 from aridcal.inputs.quantities import POSITION
 from aridcal.inputs.tables import read_tables
 from aridcal.instruments.catalogue import KINDS
@@ -98,7 +98,7 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         for name, kind in zip(robot.readings, robot.kinds, strict=True)
     )
     place = tuple(renamed.get(name, name) for name in POSITION)
-    own = own_orientation(settings) or tuple(renamed.get(name, name) for name in QUATERNION)
+    own = orientation_columns(settings)
     needed = place if settings.traits.place_alone else (*place, *own)
     log = tracker.keep(np.isfinite(tracker.of(needed)).all(axis=1), "without an orientation: left out")
     quaternion, steps = None, resolution(log.of(place)) * settings.units.metres

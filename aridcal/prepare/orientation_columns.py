@@ -9,8 +9,9 @@ import numpy as np
 
 from aridcal.errors import MeasurementError
 from aridcal.inputs.orientations import QUATERNION
-from aridcal.inputs.quantities import ABSURD, SAME_ORIENTATION, STD
+from aridcal.inputs.quantities import SAME_ORIENTATION, STD
 from aridcal.inputs.tables import Table
+from aridcal.inputs.yaml_file import LARGEST
 from aridcal.prepare.column_names import (
     COMMANDED,
     MEASURED,
@@ -182,4 +183,4 @@ def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, r
 def sensible(table: Table, columns: Sequence[str]) -> np.ndarray:
     """Columns as numbers, shape (N, columns); NaN where there is none, or one so large that it stands for a hole."""
     values = table.matrix(columns)
-    return np.where(np.abs(values) <= ABSURD, values, np.nan)
+    return np.where(np.abs(values) <= LARGEST, values, np.nan)

@@ -23,7 +23,7 @@ from aridcal.fit.stages import Geometry, fit_geometry, nominal_sigma
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.measurement_settings import ANGLES, JointColumn, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of
+from aridcal.inputs.orientations import QUATERNION, column_of
 from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.read import load_measurements
 from aridcal.inputs.tables import read_tables
@@ -238,7 +238,7 @@ def _others(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) ->
 
 def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """Other orders of quaternions, other writings of angles, and poses the other way round."""
-    angles = angle_columns(settings)
+    angles = settings.orientation.angles
     if angles is None and settings.orientation.matrix is None:
         columns = [column_of(name, settings, robot.readings) for name in QUATERNION]
         for what, order in (("scalar-first quaternions", (1, 2, 3, 0)), ("scalar-last quaternions", (3, 0, 1, 2))):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,7 @@ from aridcal.effects.regional_kind import far_from_nodes, labels_of, without_lab
 from aridcal.errors import MeasurementError
 from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import TARGET, MeasurementSettings
-from aridcal.inputs.orientations import QUATERNION, angle_columns, column_of, other_way, own_orientation
+from aridcal.inputs.orientations import QUATERNION, column_of, orientation_columns, other_way
 from aridcal.inputs.quantities import POSITION, STD
 from aridcal.inputs.query import Query, QueryRows, load_query
 from aridcal.inputs.remarks import Remark
@@ -93,7 +92,7 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
 
 
 def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
-    from aridcal.inputs.tables import IN_MEMORY, Table  # as above
+    from aridcal.inputs.tables import Table, path_of  # as above
 
     robot = saved.final.model.robot
     query = load_query(
@@ -115,7 +114,7 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
         return query
     if isinstance(table, Table):
         return _sides_unknown(saved, query, table.files[0].name)
-    return _sides_unknown(saved, query, Path(table).name if isinstance(table, str | Path) else IN_MEMORY.name)
+    return _sides_unknown(saved, query, path_of(table).name)
 
 
 def _as_nights_count(saved: SavedModel, query: Query) -> Query:
@@ -255,20 +254,11 @@ def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[
     return tuple(column_of(name, settings, joints) for name in STD)
 
 
-def orientation_columns(settings: MeasurementSettings, joints: tuple[str, ...] = ()) -> tuple[str, ...]:
-    """Columns of the campaign's orientations: three angles, nine of a matrix, or the four numbers of a quaternion."""
-    return own_orientation(settings) or _quaternion_columns(settings, joints)
-
-
 def _pose_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> set[str]:
     """Columns that hold an orientation or a pose's standard deviations: of another pose, unless they are written anew."""
     plain = {*QUATERNION, *STD} - {*joints, *settings.columns.values()}
-    mapped = {*_quaternion_columns(settings, joints), *_std_names(settings, joints)}
+    mapped = {*(column_of(name, settings, joints) for name in QUATERNION), *_std_names(settings, joints)}
     return plain | mapped | set(orientation_columns(settings, joints))
-
-
-def _quaternion_columns(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(column_of(name, settings, joints) for name in QUATERNION)
 
 
 def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
@@ -284,7 +274,7 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
         Where Euler angles are not unique, the last one is 0.
     """
     spec = settings.orientation
-    radians = [settings.units.scale(name, "angle") for name in angle_columns(settings) or ()]
+    radians = [settings.units.scale(name, "angle") for name in spec.angles or ()]
     known = ~np.isnan(R).any(axis=(1, 2))
     rotation = Rotation.from_matrix(R[known], assume_valid=True)
     if spec.euler:
