@@ -226,16 +226,22 @@ def price(twice: float, freedom: int) -> float:
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
     """Evidence for columns that are no smooth functions; see :func:`scores`."""
+    squares, freedoms = explained(M, s, raw)
+    twice = profiled(squares, left, count)
+    return [
+        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
+        for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
+    ]
+
+
+def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that columns explain, shape (k,), and how many of these say something new, (k,); see :func:`scores`."""
     scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     new = values > DEPENDENT
     along = np.einsum("kij,ki->kj", vectors, s * scale)
-    explained = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
-    twice = profiled(explained, left, count)
-    return [
-        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
-        for gain, freedom in zip(twice.tolist(), new.sum(axis=1).tolist(), strict=True)
-    ]
+    squares = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
+    return squares, new.sum(axis=1)
 
 
 def _smooth(
@@ -303,11 +309,11 @@ def likeliest(
     return found
 
 
-def profiled(explained: np.ndarray, left: float, count: float) -> np.ndarray:
+def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
     """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
     if left == np.inf:
-        return explained
-    return np.asarray(-count * np.log1p(-np.minimum(explained, WHOLE * max(left, TINY)) / max(left, TINY)))
+        return squares
+    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(left, TINY)) / max(left, TINY)))
 
 
 def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
@@ -361,8 +367,8 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
     squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
-    explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-    twice = profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2)
+    fitted = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
+    twice = profiled(fitted, left, count) - np.sum(np.log(shrunk), axis=2)
     top = np.argmax(twice, axis=1)
     own = np.arange(len(top)), top
     return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)

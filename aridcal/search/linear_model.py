@@ -98,7 +98,7 @@ class LinearModel:
 
     @property
     def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._values(bases).T)
+        return Source(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
 
     def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
         """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
@@ -110,7 +110,7 @@ class LinearModel:
         slots, bases = self._index(effect)
         return None if bases is None or self.off is not None else (tuple(dict.fromkeys(slots)), tuple(bases))
 
-    def _slots_of(self, slots: Sequence[int]) -> Flat:
+    def _of_slots(self, slots: Sequence[int]) -> Flat:
         return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds)
 
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
@@ -148,6 +148,10 @@ class LinearModel:
     def _indices(self) -> dict[Effect, tuple[list[int], list[int] | None]]:
         """Slots and bases of the effects that were asked about; no bases where some are not among ``bases``."""
         return {}
+
+    def slots_of(self, effect: Effect) -> list[int]:
+        """Number of the slot of each coefficient."""
+        return self._index(effect)[0]
 
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
         found = self._indices.get(effect)
@@ -189,12 +193,12 @@ class LinearModel:
 
     def side_by_side(self, effects: Sequence[Effect]) -> np.ndarray:
         """Columns of effects, shape (N, m, d) for the d coefficients of all of them."""
-        slots = [k for e in effects for k in self._index(e)[0]]
+        slots = [k for e in effects for k in self.slots_of(e)]
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
 
     def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
         """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
-        slots, phi = self._index(effect)[0], self._bases_of([effect])
+        slots, phi = self.slots_of(effect), self._bases_of([effect])
         values = np.zeros(self.r.shape)
         for slot in dict.fromkeys(slots):
             own = [k for k, other in enumerate(slots) if other == slot]
