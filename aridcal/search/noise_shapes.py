@@ -164,8 +164,8 @@ def aimed(
 
 
 def nearby(shape: Shape, step: float, seen: Seen) -> Iterator[Shape]:
-    """Shapes whose numbers, taken from the residual, are other by a share of their size; none where nothing was taken."""
-    for sign in (step, -step) if shape.free else ():
+    """Shapes whose numbers, taken from the residual, are other by a share of their size."""
+    for sign in (step, -step):
         for axis in np.eye(3):
             if shape.point is not None and shape.vector is None:
                 far = float(np.linalg.norm(shape.point - seen.p.mean(axis=0)))
