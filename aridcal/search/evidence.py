@@ -220,8 +220,12 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
 def price(twice: float, freedom: int) -> float:
     """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
-    each = twice / freedom
-    return 0.5 * (twice - freedom * (1.0 + float(np.log(max(each, 1.0)))))
+    return 0.5 * (twice - charge(twice, freedom))
+
+
+def charge(twice: float, freedom: int) -> float:
+    """What columns that raise twice the log-likelihood by so much are charged for their freedom, times two, [nat]."""
+    return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:

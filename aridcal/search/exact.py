@@ -24,6 +24,7 @@ from aridcal.inputs.split import held_together, repeated
 from aridcal.model.measured import readings_at
 from aridcal.model.model import Model
 from aridcal.search.covariates import look
+from aridcal.search.evidence import charge
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
@@ -126,12 +127,11 @@ def worth(fit: Fit, state: State) -> float:
 
     .. math:: -\sum_c n_c \log \hat\sigma_c - \tfrac12 \sum_e d_e (1 + \log \max(2 g_e / d_e, 1))
 
-    for effects e of d degrees of freedom and evidence g; see :func:`aridcal.search.evidence.price`.
+    for effects e of d degrees of freedom and evidence g; see :func:`aridcal.search.evidence.charge`.
     """
     value = -float(state.equations.count @ np.log(fit.estimated))
     for active in state.active:
-        each = 2.0 * active.score.gain / max(active.score.freedom, 1)
-        value -= 0.5 * active.score.freedom * (1.0 + float(np.log(max(each, 1.0))))
+        value -= 0.5 * charge(2.0 * active.score.gain, active.score.freedom)
     return value
 
 
@@ -142,9 +142,8 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
-    believed = _believed(geometric, constants).any(
-        axis=1
-    )  # few rows: these are near zero, not near the geometric stage
+    # Of few rows these are near zero, not near the geometric stage.
+    believed = _believed(geometric, constants).any(axis=1)
     mean[:count] = np.where(believed, 0.0, [before.get(c.name, 0.0) for c in constants])
     return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
 
@@ -217,8 +216,8 @@ def linear_model(
     r = r + A @ (current.theta - geometric)
     if start.train.repeats.share != 1.0:
         r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
-    in_places, table = any(is_scatter(a.effect) for a in active), _table(start, asked, observed)
-    together = (held_together if in_places else repeated)(start.train)
+    table = _table(start, asked, observed)
+    together = (held_together if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
     run, fold = _folds(start.train, together)
     of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(

@@ -12,7 +12,7 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
-from aridcal.instruments.channels import Channels
+from aridcal.instruments.channels import Channels, columns
 from aridcal.search.evidence import Score
 from aridcal.search.products import Flat, Layout, Products, Source
 
@@ -94,7 +94,7 @@ class LinearModel:
     def _in_folds(self) -> tuple[np.ndarray, ...]:
         """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
         ordered = self.G[self._layout.order].transpose(2, 0, 1)
-        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in self._layout.parts)
+        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in columns(self.channels))
 
     @property
     def _source(self) -> Source:

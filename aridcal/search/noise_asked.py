@@ -100,14 +100,13 @@ def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
 def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
     """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
     axes, turned = {}, {}
-    position: tuple[object, str] | None = None
     for block, channel, part in _channels(rows):
-        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and block.traits.tracked:
+        if block.traits.tracked and channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes):
             axes[channel.name] = scaled(own[:, :, part], rows.relative)
-            if channel.axes == TARGET_POSITION.axes:
-                position = block, channel.name
-            elif position is not None and position[0] is block:
-                turned[position[1]] = channel.name
+    for block in rows.blocks:
+        name = {channel.axes: channel.name for channel in block.channels}
+        if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
+            turned[name[TARGET_POSITION.axes]] = name[TARGET_ROTATION.axes]
     return Seen(R, p, axes, turned)
 
 

@@ -96,7 +96,8 @@ class Layout:
         """Columns (N, m, d) or residuals (N, m), channel by channel, in the order of the folds."""
         _, _, *tail = values.shape
         ordered = values[self.order]
-        return tuple(ordered[:, part].reshape(len(ordered) * (part.stop - part.start), *tail) for part in self.parts)
+        parts = zip(self.channels, columns(self.channels), strict=True)
+        return tuple(ordered[:, part].reshape(len(ordered) * channel.size, *tail) for channel, part in parts)
 
     def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
@@ -106,14 +107,9 @@ class Layout:
         values[self.order] = ordered
         return values
 
-    @property
-    def parts(self) -> tuple[slice, ...]:
-        """Columns of each channel."""
-        return columns(self.channels)
-
     def stretches(self, size: int) -> list[slice]:
         """Numbers of each fold in a channel of so many numbers a row."""
-        return [slice(low * size, high * size) for low, high in zip(self.starts[:-1], self.starts[1:], strict=True)]
+        return [slice(low, high) for low, high in pairwise((self.starts * size).tolist())]
 
     def numbers(self, places: np.ndarray) -> list[np.ndarray]:
         """Numbers of some rows in each channel, from the rows' places."""
@@ -178,11 +174,7 @@ class Products:
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
         self.assembled: Assembled | None = None
-        stretches = [layout.stretches(channel.size) for channel in layout.channels]
-        self.squares = np.array([
-            [r[own[f]] @ r[own[f]] for r, own in zip(self.r, stretches, strict=True)]
-            for f in range(len(layout.starts) - 1)
-        ])  # fmt: skip
+        self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
         """The same, columns made by a model that has further bases."""
@@ -277,11 +269,9 @@ class Products:
         return self._pull[of]
 
     def _folds(self, X: Flat, Y: Flat) -> np.ndarray:
-        stretches = [self.layout.stretches(channel.size) for channel in self.layout.channels]
-        return np.array([
-            [x[own[f]].T @ y[own[f]] for x, y, own in zip(X, Y, stretches, strict=True)]
-            for f in range(len(self.layout.starts) - 1)
-        ])  # fmt: skip
+        """Products of columns fold by fold, shape (F, C, ...)."""
+        stretches = zip(*(self.layout.stretches(channel.size) for channel in self.layout.channels), strict=True)
+        return np.array([[x[own].T @ y[own] for x, y, own in zip(X, Y, fold, strict=True)] for fold in stretches])
 
     def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
         """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""
