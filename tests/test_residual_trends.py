@@ -100,7 +100,7 @@ def test_what_changes_slowly_shows_in_the_order_of_time_only(machine: tuple[Fit,
     seen, unseen = (trace(fit_, rows, slow, slow).order for rows in (timed, bare))
     assert seen.timed
     assert not unseen.timed
-    np.testing.assert_array_equal(shuffled[seen.order], np.arange(300))
+    np.testing.assert_array_equal(shuffled[timed.sequence], np.arange(300))
     # Two thirds of the variance of one axis of six.
     assert seen.correlation[0] == pytest.approx(2 / 3 / 6, abs=0.03)
     assert seen.p_value < 1e-4

@@ -63,37 +63,31 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Which steps some group of things has enough rows on both sides of, shape (k,) bool.
+    """Which steps, by the rows before each, some group of things has enough rows on both sides of, shape (k,) bool.
 
     A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
-
-    Args:
-        values: Of the covariate in the rows in use, shape (n,).
-        group: Of the same rows, shape (n,).
-        before: How many rows come before each step, shape (k,).
+    ``values`` of the covariate and ``group`` are of the rows in use, shape (n,).
     """
     ordered = group[np.argsort(values, kind="stable")]
-    passed = np.cumsum(ordered[:, None] == np.unique(ordered), axis=0)
-    there = passed[before - 1]
-    return np.asarray(((there >= SIDE) & (passed[-1] - there >= SIDE)).any(axis=1))
+    return np.asarray(_on_both_sides(ordered[:, None] == np.unique(ordered), before).any(axis=1))
 
 
 def _between_its_rows(
     model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
 ) -> np.ndarray:
-    """Which steps have enough rows on both sides that see what moves, shape (k,) bool: the last of those between two such rows.
+    """Which steps, by the rows before each, have enough rows on both sides that see what moves, shape (k,) bool.
 
-    Args:
-        model: The linearised model.
-        state: Its rows in use, n of them.
-        values: Of the covariate in these, shape (n,).
-        slots: Motions of what moves.
-        before: How many rows come before each step, shape (k,).
+    Of those between two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
     """
     sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
-    passed = np.cumsum(sees)
+    return np.asarray(sees[before] & _on_both_sides(sees, before))
+
+
+def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Whether enough of the members among ordered rows, (n, ...) bool, are on either side of steps, shape (k, ...)."""
+    passed = np.cumsum(members, axis=0)
     there = passed[before - 1]
-    return np.asarray(sees[before] & (there >= SIDE) & (passed[-1] - there >= SIDE))
+    return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
 
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
@@ -349,11 +343,10 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
 
 
 def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
-    """Best log-likelihoods of a series explained by its second column, and by its second and third.
+    """Best log-likelihoods of a series explained by a constant, and by a constant and a step.
 
-    Args:
-        series: What is explained, a constant and a step, shape (n, 3).
-        variance: White noise of each row up to a common factor, shape (n,).
+    The columns of ``series``, shape (n, 3), are what is explained, the constant and the step; ``variance`` is the white noise
+    of each row up to a common factor, shape (n,).
     """
     n = len(series)
     white = float(np.median(variance))

@@ -64,16 +64,16 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
 
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    solved = _as_solved(start, constants, state)
+    solved = _as_solved(start, current, state)
     state = replace(state, active=tuple(a for a in state.active if not is_scatter(a.effect)))
-    found = refit_constants(start, constants, state, current, solved)
-    more = _regained(start, found)
-    return refit_constants(start, constants + more, state, found) if more else found
+    refitted = refit_constants(start, state, current, solved=solved)
+    more = _regained(start, refitted)
+    return refit_constants(start, state, refitted, more) if more else refitted
 
 
-def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -> dict[str, float]:
+def _as_solved(start: Start, current: Fit, state: State) -> dict[str, float]:
     """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+    constants = _constants(current)
     if state.model.A.shape[2] != len(constants):
         return {}
     before = dict(zip(start.geometric.model.names, start.geometric.theta.tolist(), strict=True))
@@ -85,22 +85,27 @@ def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -
     return found
 
 
+def _constants(fit: Fit) -> tuple[Coefficient, ...]:
+    return tuple(c for c in fit.model.coefficients if c.basis.constant)
+
+
 def refit_constants(
     start: Start,
-    constants: tuple[Coefficient, ...],
     state: State,
     current: Fit,
+    more: tuple[Coefficient, ...] = (),
     solved: Mapping[str, float] = MappingProxyType({}),
 ) -> Fit:
-    """Fit given constants and the effects of a state; see :func:`refit`.
+    """Fit the constants of a fit with the effects of a state; see :func:`refit`.
 
     Args:
         start: Where the search began.
-        constants: To be fitted.
         state: The effects, and the rows in use.
         current: A fit to begin from.
+        more: Further constants.
         solved: Values to begin from instead, by the names of coefficients.
     """
+    constants = (*_constants(current), *more)
     geometric = start.geometric
     effects = tuple(c for a in state.active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(constants + effects)
@@ -118,8 +123,7 @@ def flagged_again(start: Start, state: State, current: Fit) -> Fit:
     used = ~flagged(current.residual, start.train.channels, start.limit)
     if np.array_equal(used, ~current.outliers) or not state.active:
         return current
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    return refit_constants(start, constants, replace(state, used=used), current)
+    return refit_constants(start, replace(state, used=used), current)
 
 
 def worth(fit: Fit, state: State) -> float:

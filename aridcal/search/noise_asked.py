@@ -124,10 +124,7 @@ def shaped(shape: Shape, seen: Seen) -> Asked:
 def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
     """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
-    Args:
-        rows: N rows.
-        p: Where the model has the target, shape (N, 3), [m].
-        own: Unit vectors of the numbers that each row measures, shape (N, m, m).
+    The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):

@@ -419,13 +419,9 @@ def _challenged(
 
 
 def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: float) -> list[tuple[int, float]]:
-    """Rivals of a set of named causes that may be as good, and the variances at which they begin.
+    """Rivals of a set of named causes, shape (C,) bool, that may be as good, and the variances at which they begin.
 
-    Args:
-        inquiry: What is asked, aimed without the set.
-        base: The maximum without it.
-        own: The set, shape (C,) bool.
-        worth: Log-likelihood with the set, what it costs taken off.
+    What is asked is aimed at the maximum without the set; ``worth`` is the log-likelihood with it, what it costs taken off.
     """
     asked = asked_for(inquiry.scatter, base)
     least = max(worth - base.log_likelihood - LOOSE, 0.0)

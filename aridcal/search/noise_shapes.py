@@ -197,7 +197,7 @@ def shapes_of(seen: Seen, channel: Channel) -> list[Shape]:
 def _of_channel(seen: Seen, channel: Channel, axes: _Axes, left: np.ndarray) -> Iterator[list[Shape]]:
     """Shapes of each kind."""
     name, p = channel.name, seen.p
-    _, most = _extremes(axes.W.sum(axis=0), axes.P.sum(axis=0))
+    least, most = _extremes(axes.W.sum(axis=0), axes.P.sum(axis=0))
     yield [Shape("direction", name, most, free=2)]
     turned = seen.R.transpose(0, 2, 1)
     low, high = _extremes((turned @ axes.W @ seen.R).sum(axis=0), (turned @ axes.P @ seen.R).sum(axis=0))
@@ -206,7 +206,6 @@ def _of_channel(seen: Seen, channel: Channel, axes: _Axes, left: np.ndarray) -> 
         return
     middle = p.mean(axis=0)
     spread = float(np.sqrt(np.mean(np.sum((p - middle) ** 2, axis=1))))
-    least, _ = _extremes(axes.W.sum(axis=0), axes.P.sum(axis=0))
     origin = np.zeros(3)
 
     def from_afar(v: np.ndarray) -> list[np.ndarray]:

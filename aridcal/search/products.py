@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -151,14 +152,7 @@ class Products:
     """What was multiplied so far of one linearised model."""
 
     def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
-        """Start with nothing.
-
-        Args:
-            A: Columns of the constants, shape (N, m, K).
-            r: Residual, shape (N, m).
-            layout: Of the rows.
-            source: Columns of effects.
-        """
+        """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
         self.layout, self.r, self._source = layout, layout.flat(r), source
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
@@ -213,14 +207,12 @@ class Products:
 
     def _forget(self, effect: Effect) -> None:
         del self._known[effect]
-        self._columns.pop(effect, None)
-        self._pull.pop(effect, None)
-        for key in [key for key in self._between if effect in key]:
-            del self._between[key]
-        for name in [key for key in self._ordered if key[1] == effect]:
-            del self._ordered[name]
-        for limb in [key for key in self._of_limbs if key[0] == effect]:
-            del self._of_limbs[limb]
+        for of_one in (self._columns, self._pull):
+            of_one.pop(effect, None)
+        of_several: tuple[dict[Any, Any], ...] = (self._between, self._ordered, self._of_limbs)
+        for made in of_several:
+            for key in [key for key in made if effect in key]:
+                del made[key]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size

@@ -93,7 +93,6 @@ class Order:
 
     Attributes:
         timed: True if the order is that of a column ``time``, False if it is that of the table.
-        order: The rows in use in that order, shape (n,).
         lags: Rows apart, shape (L,).
         correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
         bound: What 95 % of such correlations stay within if all is noise.
@@ -104,7 +103,6 @@ class Order:
     """
 
     timed: bool
-    order: np.ndarray
     lags: np.ndarray
     correlation: np.ndarray
     bound: float
@@ -304,9 +302,8 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
 
 def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    order = rows.sequence
     # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
-    series = [r[~np.isnan(r)] for r in residual[order].T]
+    series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]
     series = [r for r in series if len(r) > 1]
     lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]
     correlation = np.array([np.mean([r[k:] @ r[:-k] / max(float(r @ r), 1e-300) for r in series]) for k in lags])
@@ -315,7 +312,6 @@ def _order(residual: np.ndarray, rows: Dataset) -> Order:
     expected, deviation = pairs / 2, float(np.sqrt(pairs) / 2)
     return Order(
         timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
-        order=order,
         lags=lags,
         correlation=correlation,
         bound=BAND / np.sqrt(max(numbers, 1)),
