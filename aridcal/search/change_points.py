@@ -112,8 +112,8 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
         if not possible:
             continue
         groups = [(slots, before[mine]) for slots, mine in possible.values()]
-        scan = _Scan.of(state, of, groups) if model.off is None else _Trial(model, state, values)
-        for (effect, (_, mine)), place in zip(possible.items(), scan.best(groups), strict=True):
+        best = _Scan.of(state, of, groups).best(groups) if model.off is None else _tried(model, state, values, groups)
+        for (effect, (_, mine)), place in zip(possible.items(), best, strict=True):
             placed[effect] = effect.placed(float(points[mine][place]))
     return [placed[effect] for effect in templates if effect in placed]
 
@@ -122,38 +122,26 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
 Group = tuple[Sequence[int], np.ndarray]
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Steps tried one by one, where unknown things take a part of each off.
+def _tried(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+    """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
 
-    Attributes:
-        model: The linearised model.
-        state: Without a step.
-        values: Of the covariate in the rows in use, shape (n,).
+    ``values`` of the covariate are of the rows in use, shape (n,).
     """
+    A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
+    order = np.argsort(np.argsort(values, kind="stable"))
 
-    model: LinearModel
-    state: State
-    values: np.ndarray
-
-    def best(self, groups: Sequence[Group]) -> list[int]:
-        """Index of the step of each group that explains most."""
-        return [_best(before, partial(self._explained, slots)) for slots, before in groups]
-
-    def _explained(self, slots: Sequence[int], before: np.ndarray) -> np.ndarray:
-        """Squares that steps explain, shape (k,)."""
-        model, state = self.model, self.state
-        A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
-        order = np.argsort(np.argsort(self.values, kind="stable"))
-        squares = []
+    def squares(slots: Sequence[int], before: np.ndarray) -> np.ndarray:
+        sums = []
         for count in before.tolist():
             after = np.zeros(len(model.r))
             after[state.used] = order >= count
             C = state.whitened(state.flat(model.seen(model.G[:, :, list(slots)] * after[:, None, None])))
             CA, Cr = C.T @ A, C.T @ r
             M = C.T @ C - CA @ state.solution.inverse @ CA.T
-            squares.append(explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
-        return np.concatenate(squares)
+            sums.append(explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
+        return np.concatenate(sums)
+
+    return [_best(before, partial(squares, slots)) for slots, before in groups]
 
 
 @dataclass(frozen=True)

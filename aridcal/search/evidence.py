@@ -14,6 +14,7 @@ Williams 2006, section 5.4), less a price for those two. See docs/how-the-search
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dsterf, dsytrd
@@ -105,8 +106,7 @@ class Score:
     sigma: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Amplitudes:
+class Amplitudes(NamedTuple):
     """The likeliest amplitude of each of n candidates.
 
     Attributes:
@@ -270,8 +270,9 @@ def _smooth(
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
                                DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
-    variance, twice, freedom, seen = (np.concatenate([getattr(part, name) for part in parts]).reshape(len(kernels), -1)
-                                      for name in ("variance", "twice", "freedom", "seen"))  # fmt: skip
+    variance, twice, freedom, seen = (
+        np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
+    )
     best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
     return [
         Score(
@@ -304,13 +305,12 @@ def likeliest(
         count: Numbers measured.
         roughly: Take amplitudes in units of all modes together, which need not be found one by one.
     """
-    found = _by_chain(A, b, left, count, roughly)
-    doubted = found.variance * least > HIDDEN
+    likely = _by_chain(A, b, left, count, roughly)
+    doubted = likely.variance * least > HIDDEN
     if doubted.any():
-        sure = _by_modes(A[doubted], b[doubted], least[doubted], left, count)
-        for name, values in vars(found).items():
-            values[doubted] = vars(sure)[name]
-    return found
+        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], left, count), strict=True):
+            values[doubted] = sure
+    return likely
 
 
 def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
