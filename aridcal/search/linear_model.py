@@ -116,7 +116,7 @@ class LinearModel:
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
         """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
         if self.off is not None or not all(self.prepared(e) for e in effects):
-            X = self._layout.flat(self.side_by_side(effects))
+            X = self._layout.flat(self.columns(*effects))
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
         values = self._values(bases, places)
@@ -187,11 +187,7 @@ class LinearModel:
         """Whether each slot moves any row, shape (S,) bool."""
         return np.asarray(self.G.any(axis=(0, 1)))
 
-    def columns(self, effect: Effect) -> np.ndarray:
-        """Columns of an effect, shape (N, m, d)."""
-        return self.side_by_side([effect])
-
-    def side_by_side(self, effects: Sequence[Effect]) -> np.ndarray:
+    def columns(self, *effects: Effect) -> np.ndarray:
         """Columns of effects, shape (N, m, d) for the d coefficients of all of them."""
         slots = [k for e in effects for k in self.slots_of(e)]
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])

@@ -8,7 +8,7 @@ them, corrected for their number.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -122,9 +122,7 @@ def clues(
     sigma = rms_of_channels(residual, rows)
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
-    found = []
-    if repeats is not None:
-        found.append(_repeated(repeats, sigma))
+    found = [_repeated(repeats, sigma)] if repeats is not None else []
     if len(white) > FEWEST:
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
@@ -182,8 +180,7 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
         share = float(np.clip((own[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
         ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
         what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
-        found.append(Clue("thing", what, share, chance))
-    found = [replace(clue, p_value=min(1.0, len(asked) * clue.p_value)) for clue in found]
+        found.append(Clue("thing", what, share, min(1.0, len(asked) * chance)))
     return [min(found, key=lambda clue: clue.p_value)]
 
 
