@@ -55,22 +55,22 @@ def test_a_joints_own_error_comes_back_as_that_joints_with_its_size_and_shape(ma
     found = traced(machine, noise, noise + joint_columns(machine, 2) * curve[:, None])
     own = found.joints[2]
     assert own.motion == own.covariate == "elbow_joint"
-    assert own.p_before < 1e-50
-    assert own.size_before == pytest.approx(np.sqrt(np.mean(curve**2)), rel=0.1)
-    assert own.p_value > 1e-3
-    assert own.size_after < 3e-5
-    np.testing.assert_allclose(own.smooth_before, 3e-4 * np.sin(2 * own.at), atol=8e-5)
-    asked = own.before - own.after  # the noise is the same in both
+    assert own.before.p_value < 1e-50
+    assert own.before.size == pytest.approx(np.sqrt(np.mean(curve**2)), rel=0.1)
+    assert own.after.p_value > 1e-3
+    assert own.after.size < 3e-5
+    np.testing.assert_allclose(own.before.smooth, 3e-4 * np.sin(2 * own.at), atol=8e-5)
+    asked = own.before.rows - own.after.rows  # the noise is the same in both
     np.testing.assert_allclose(asked, 3e-4 * np.sin(2 * own.seen), rtol=1e-4, atol=1e-8)
     others = [t for t in found.joints if t is not own]
-    assert all(t.size_before < 0.3 * own.size_before for t in others)
+    assert all(t.before.size < 0.3 * own.before.size for t in others)
 
 
 def test_noise_is_traced_to_nothing(machine: tuple[Fit, Dataset]) -> None:
     smallest, outside, few = [], [], []
     for seed in range(20):
         found = traced(machine, white(300, seed))
-        smallest.append(min(t.p_value for t in found.strongest) * found.asked)
+        smallest.append(min(t.after.p_value for t in found.strongest) * found.asked)
         outside.append(np.mean(np.abs(found.order.correlation) > found.order.bound))
         few.append(found.order.p_value)
     assert min(smallest) > 1e-3
@@ -85,9 +85,9 @@ def test_what_follows_a_column_is_traced_to_it(machine: tuple[Fit, Dataset]) -> 
     found = {t.covariate: t for t in traced(machine, residual).strongest}
     assert found["side"].motion == "y"
     assert len(found["side"].centre) == 3  # few values: one slice each
-    np.testing.assert_allclose(found["side"].mean_after, [-1e-4, 0.0, 1e-4], atol=4 * SIGMA / 10)
-    assert found["side"].size_after == pytest.approx(1e-4 * np.sqrt(2 / 3), rel=0.2)
-    assert {t.covariate for t in found.values() if t.p_value < 1e-6} == {"side"}
+    np.testing.assert_allclose(found["side"].after.mean, [-1e-4, 0.0, 1e-4], atol=4 * SIGMA / 10)
+    assert found["side"].after.size == pytest.approx(1e-4 * np.sqrt(2 / 3), rel=0.2)
+    assert {t.covariate for t in found.values() if t.after.p_value < 1e-6} == {"side"}
 
 
 def test_what_changes_slowly_shows_in_the_order_of_time_only(machine: tuple[Fit, Dataset]) -> None:
@@ -100,7 +100,7 @@ def test_what_changes_slowly_shows_in_the_order_of_time_only(machine: tuple[Fit,
     seen, unseen = (trace(fit_, rows, slow, slow).order for rows in (timed, bare))
     assert seen.timed
     assert not unseen.timed
-    np.testing.assert_array_equal(shuffled[seen.order], np.arange(300))
+    np.testing.assert_array_equal(shuffled[timed.sequence], np.arange(300))
     # Two thirds of the variance of one axis of six.
     assert seen.correlation[0] == pytest.approx(2 / 3 / 6, abs=0.03)
     assert seen.p_value < 1e-4
@@ -132,7 +132,7 @@ def test_positions_alone_are_traced_as_well(machine: tuple[Fit, Dataset]) -> Non
     traces = trace(found, alone, before, after)
     assert {t.motion for t in traces.strongest} <= {"x", "y", "z", *found.model.robot.names}
     own = next(t for t in traces.joints if t.motion == found.model.robot.names[1])
-    np.testing.assert_allclose(own.before - own.after, 5e-4 * np.cos(own.seen), rtol=1e-4)
+    np.testing.assert_allclose(own.before.rows - own.after.rows, 5e-4 * np.cos(own.seen), rtol=1e-4)
 
 
 def test_what_a_row_does_not_measure_does_not_change_its_sign(machine: tuple[Fit, Dataset]) -> None:

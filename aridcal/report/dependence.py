@@ -11,7 +11,7 @@ from aridcal.report.effects_section import axis_unit, effects_in_the_model, othe
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
 from aridcal.search.noise_tests import SURE
-from aridcal.search.residual_trends import Order, Trace
+from aridcal.search.residual_trends import Course, Order, Trace
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.gains import Diagnosis
 
@@ -94,41 +94,44 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
 
 def _in_words(outcome: Outcome, trace: Trace, asked: int) -> str:
     """What a trace shows, in a sentence."""
-    now = _size_in_words(trace, trace.size_after, corrected(trace.p_value, asked))
+    now = _size_in_words(trace, trace.after, asked)
     if not outcome.effects:
         return f"{now}."
-    before = _size_in_words(trace, trace.size_before, corrected(trace.p_before, asked))
-    return f"{WITHOUT} {before}; {WITH} {now}."
+    return f"{WITHOUT} {_size_in_words(trace, trace.before, asked)}; {WITH} {now}."
 
 
-def _size_in_words(trace: Trace, size: float, p: float) -> str:
-    """A repeatable part, [m] or [rad], with its p-value."""
+def _size_in_words(trace: Trace, course: Course, asked: int) -> str:
+    """A repeatable part with its p-value, corrected for the number of those asked about."""
+    p = corrected(course.p_value, asked)
     if p > SURE:
         return f"nothing significant (p = {p_in_words(p)})"
-    return f"{_size(trace, size)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
+    return f"{_size(trace, course)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
 
 
 def _unit(trace: Trace) -> str:
     return "sigma" if trace.unit == "1" else shown_in(trace.unit)[0]
 
 
-def _size(trace: Trace, size: float) -> str:
-    """A size of a trace, in its own unit, in words."""
-    return f"{number(shown_in(trace.unit)[1] * size, 2)} {_unit(trace)}" if size > 0 else "0"
+def _size(trace: Trace, course: Course) -> str:
+    """The size of a trace with one model, in its own unit, in words."""
+    return f"{number(shown_in(trace.unit)[1] * course.size, 2)} {_unit(trace)}" if course.size > 0 else "0"
+
+
+def _models(outcome: Outcome, trace: Trace) -> dict[str, Course]:
+    """A trace with each of the models that are compared."""
+    return {WITHOUT: trace.before, WITH: trace.after} if outcome.effects else {WITH: trace.after}
 
 
 def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
     """The rows' motions over a covariate, with their means and smooth curves."""
     unit, scale = axis_unit(outcome, trace.covariate)
     centre, at = scale * trace.centre, scale * trace.at
-    models = {WITH: (trace.after, trace.mean_after, trace.smooth_after)}
-    if outcome.effects:
-        models = {WITHOUT: (trace.before, trace.mean_before, trace.smooth_before), **models}
+    models = _models(outcome, trace)
     size = shown_in(trace.unit)[1]
-    values = {name: size * rows for name, (rows, _, _) in models.items()}
+    values = {name: size * course.rows for name, course in models.items()}
     trends = {
-        name: Trend(centre, size * mean, size * trace.std, at, size * smooth)
-        for name, (_, mean, smooth) in models.items()
+        name: Trend(centre, size * course.mean, size * trace.std, at, size * course.smooth)
+        for name, course in models.items()
     }
     alt = f"Remaining error as a motion of {trace.motion}, over {trace.covariate}"
     labels = (f"{trace.covariate}{unit}", f"{trace.motion} [{_unit(trace)}]")
@@ -174,10 +177,8 @@ def _trace_table(outcome: Outcome, found: list[Trace]) -> Html:
     asked = outcome.traces.asked
     lines: list[list[Content]] = []
     for trace in found:
-        sizes = [_size(trace, trace.size_after)]
-        if outcome.effects:
-            sizes = [_size(trace, trace.size_before), *sizes]
-        p = p_in_words(corrected(trace.p_value, asked))
+        sizes = [_size(trace, course) for course in _models(outcome, trace).values()]
+        p = p_in_words(corrected(trace.after.p_value, asked))
         verdict = "yes" if significant(trace, asked) else "no"
         lines.append([tag("code", trace.covariate), trace.motion, *sizes, p, verdict])
     models = [WITHOUT, WITH] if outcome.effects else [WITH]

@@ -341,9 +341,9 @@ def slowly_changing(order: Order) -> bool:
 
 def clear_traces(outcome: Outcome) -> list[Trace]:
     """The strongest dependences of the residual, the most significant first."""
-    return sorted(outcome.traces.strongest, key=lambda t: t.p_value)
+    return sorted(outcome.traces.strongest, key=lambda t: t.after.p_value)
 
 
 def significant(trace: Trace, asked: int) -> bool:
     """Whether a dependence is more than chance gives among so many."""
-    return trace.p_value * asked <= SURE
+    return trace.after.p_value * asked <= SURE

@@ -13,15 +13,16 @@ largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.special import gammaincc
 
 from aridcal.effects.effect import Effect
-from aridcal.instruments.channels import by_row
-from aridcal.search.evidence import DEPENDENT, solve
+from aridcal.instruments.channels import by_row, spread
+from aridcal.search.evidence import explained, solve
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State, with_candidate
 
@@ -62,37 +63,31 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Which steps some group of things has enough rows on both sides of, shape (k,) bool.
+    """Which steps, by the rows before each, some group of things has enough rows on both sides of, shape (k,) bool.
 
     A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
-
-    Args:
-        values: Of the covariate in the rows in use, shape (n,).
-        group: Of the same rows, shape (n,).
-        before: How many rows come before each step, shape (k,).
+    ``values`` of the covariate and ``group`` are of the rows in use, shape (n,).
     """
     ordered = group[np.argsort(values, kind="stable")]
-    passed = np.cumsum(ordered[:, None] == np.unique(ordered), axis=0)
-    there = passed[before - 1]
-    return np.asarray(((there >= SIDE) & (passed[-1] - there >= SIDE)).any(axis=1))
+    return np.asarray(_on_both_sides(ordered[:, None] == np.unique(ordered), before).any(axis=1))
 
 
 def _between_its_rows(
     model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
 ) -> np.ndarray:
-    """Which steps have enough rows on both sides that see what moves, shape (k,) bool: the last of those between two such rows.
+    """Which steps, by the rows before each, have enough rows on both sides that see what moves, shape (k,) bool.
 
-    Args:
-        model: The linearised model.
-        state: Its rows in use, n of them.
-        values: Of the covariate in these, shape (n,).
-        slots: Motions of what moves.
-        before: How many rows come before each step, shape (k,).
+    Of those between two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
     """
     sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
-    passed = np.cumsum(sees)
+    return np.asarray(sees[before] & _on_both_sides(sees, before))
+
+
+def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Whether enough of the members among ordered rows, (n, ...) bool, are on either side of steps, shape (k, ...)."""
+    passed = np.cumsum(members, axis=0)
     there = passed[before - 1]
-    return np.asarray(sees[before] & (there >= SIDE) & (passed[-1] - there >= SIDE))
+    return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
 
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
@@ -101,69 +96,52 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
 
 
 def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
-    found: dict[int, Effect] = {}
+    placed: dict[Effect, Effect] = {}
     for of in dict.fromkeys(e.covariates[0] for e in templates):
         values = model.table[of][state.used]
         before, points = step_points(values)
         if model.off is not None:
             inside = _within_a_place(values, model.off.group[state.used], before)
             before, points = before[inside], points[inside]
-        if not len(before):
-            continue
-        asked = {}
-        for k in (k for k, effect in enumerate(templates) if effect.covariates[0] == of):
-            slots = [model.slot_index[c.where, c.component] for c in templates[k].coefficients]
+        possible = {}
+        for effect in (e for e in templates if e.covariates[0] == of):
+            slots = model.slots_of(effect)
             mine = _between_its_rows(model, state, values, slots, before)
             if mine.any():
-                asked[k] = slots, mine
-        if not asked:
+                possible[effect] = slots, mine
+        if not possible:
             continue
-        groups = [slots for slots, _ in asked.values()], [before[mine] for _, mine in asked.values()]
-        every = [templates[k] for k in asked]
-        scan = _Scan.of(state, of, every) if model.off is None else _Trial(model, state, values)
-        best = scan.best(*groups)
-        for (k, (_, mine)), place in zip(asked.items(), best, strict=True):
-            found[k] = templates[k].placed(float(points[mine][place]))
-    return [found[k] for k in sorted(found)]
+        groups = [(slots, before[mine]) for slots, mine in possible.values()]
+        best = _Scan.of(state, of, groups).best(groups) if model.off is None else _tried(model, state, values, groups)
+        for (effect, (_, mine)), place in zip(possible.items(), best, strict=True):
+            placed[effect] = effect.placed(float(points[mine][place]))
+    return [placed[effect] for effect in templates if effect in placed]
 
 
-@dataclass(frozen=True)
-class _Trial:
-    """Steps tried one by one, where unknown things take a part of each off.
+# Slots that move together, and the rows before each of the steps that they may have, ascending.
+Group = tuple[Sequence[int], np.ndarray]
 
-    Attributes:
-        model: The linearised model.
-        state: Without a step.
-        values: Of the covariate in the rows in use, shape (n,).
+
+def _tried(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+    """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
+
+    ``values`` of the covariate are of the rows in use, shape (n,).
     """
+    A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
+    order = np.argsort(np.argsort(values, kind="stable"))
 
-    model: LinearModel
-    state: State
-    values: np.ndarray
-
-    def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
-        """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
-        return [self._best(slots, rows) for slots, rows in zip(of, before, strict=True)]
-
-    def _best(self, of: Sequence[int], before: np.ndarray) -> int:
-        rough = _far_apart(before)
-        low, high = _around(before, rough, int(np.argmax(self._explained(of, rough))))
-        return low + int(np.argmax(self._explained(of, before[low : high + 1])))
-
-    def _explained(self, of: Sequence[int], before: np.ndarray) -> np.ndarray:
-        """Squares that steps explain, shape (k,)."""
-        model, state = self.model, self.state
-        A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
-        order = np.argsort(np.argsort(self.values, kind="stable"))
-        found = []
+    def squares(slots: Sequence[int], before: np.ndarray) -> np.ndarray:
+        sums = []
         for count in before.tolist():
             after = np.zeros(len(model.r))
             after[state.used] = order >= count
-            C = state.whitened(state.flat(model.seen(model.G[:, :, list(of)] * after[:, None, None])))
+            C = state.whitened(state.flat(model.seen(model.G[:, :, list(slots)] * after[:, None, None])))
             CA, Cr = C.T @ A, C.T @ r
             M = C.T @ C - CA @ state.solution.inverse @ CA.T
-            found.append(_squares_explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
-        return np.array(found)
+            sums.append(explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
+        return np.concatenate(sums)
+
+    return [_best(before, partial(squares, slots)) for slots, before in groups]
 
 
 @dataclass(frozen=True)
@@ -189,48 +167,52 @@ class _Scan:
     row: np.ndarray
 
     @classmethod
-    def of(cls, state: State, of: str, templates: Sequence[Effect]) -> _Scan:
-        """The sums for the places of some effects, rows in the order of a covariate."""
+    def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
+        """The sums for some groups of slots, rows in the order of a covariate."""
         model = state.model
-        own = dict.fromkeys(model.slot_index[c.where, c.component] for e in templates for c in e.coefficients)
+        own = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
         order = np.argsort(model.table[of], kind="stable")
         used = state.used[order]
         row, sigma = np.flatnonzero(used), state.sigma[:, None]
-        g = model.G[:, :, list(own)][order] * (used[:, None] / state.sigma)[:, :, None]
+        g = model.G[:, :, own][order] * (used[:, None] / state.sigma)[:, :, None]
         members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
         turned, right = g[row].transpose(0, 2, 1), state.residual[order[row], :, None] / sigma
-        squares, pulls = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
-        slots = {slot: k for k, slot in enumerate(own)}
-        return cls(state, slots, g / sigma, _from_nothing(squares), _from_nothing(pulls), members, row)
+        sums = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
+        squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
+        return cls(state, {slot: k for k, slot in enumerate(own)}, g / sigma, squares, pulls, members, row)
 
-    def best(self, of: Sequence[Sequence[int]], before: Sequence[np.ndarray]) -> list[int]:
-        """Index of the step that explains most, for each of some groups of slots among those with so many rows before them."""
-        every = np.unique(np.concatenate([_far_apart(rows) for rows in before]))
-        all_slots = list(range(len(self.slots)))
-        nodes = _Nodes.of(every, self, all_slots)
-        found = []
-        for slots, rows in zip(of, before, strict=True):
+    def best(self, groups: Sequence[Group]) -> list[int]:
+        """Index of the step of each group that explains most."""
+        every = np.unique(np.concatenate([_evenly(before, COARSE) for _, before in groups]))
+        nodes = self._nodes(every)
+
+        def best_of(slots: Sequence[int], before: np.ndarray) -> int:
             own = [self.slots[slot] for slot in slots]
-            rough = _far_apart(rows)
-            seems = self._explained(own, rough, nodes.between(rough, own))
-            closer = np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
-            explained = self._explained(own, rough[closer], self.taken(own, rough[closer], nodes))
-            low, high = _around(rows, rough, int(closer[np.argmax(explained)]))
-            close = rows[low : high + 1]
-            found.append(low + int(np.argmax(self._explained(own, close, self.taken(own, close, nodes)))))
-        return found
+
+            def promising(rough: np.ndarray) -> np.ndarray:
+                seems = self._explained(own, rough, nodes.between(rough, own))
+                return np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
+
+            def exactly(rows: np.ndarray) -> np.ndarray:
+                return self._explained(own, rows, self._taken(self._shared(own, rows, nodes)))
+
+            return _best(before, exactly, promising)
+
+        return [best_of(*group) for group in groups]
+
+    def _nodes(self, every: np.ndarray) -> _Nodes:
+        """At the most :data:`NODES` of some steps, evenly, from the first to the last."""
+        before = _evenly(every, NODES)
+        shared = self._shared(range(len(self.slots)), before)
+        return _Nodes(before, shared, self._taken(shared))
 
     def _explained(self, own: Sequence[int], before: np.ndarray, taken: np.ndarray) -> np.ndarray:
         """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
         squares = self.squares[before][:, own][:, :, own]
-        return _squares_explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))
+        return explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))[0]
 
-    def taken(self, own: Sequence[int], before: np.ndarray, known: _Nodes | None = None) -> np.ndarray:
-        """What the model takes up of the products of some columns before some rows, ascending, shape (k, d, d)."""
-        return self.taken_of(self.shared(own, before, known))
-
-    def taken_of(self, shared: np.ndarray) -> np.ndarray:
-        """The same from the products with the members' columns, (k, d, W)."""
+    def _taken(self, shared: np.ndarray) -> np.ndarray:
+        """What the model takes up of products of columns, shape (k, d, d), from those with the members' columns, (k, d, W)."""
         ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
         shared = self.state.in_modes(np.split(shared, ends, axis=2))
         inverse = self.state.solution.inverse
@@ -238,22 +220,20 @@ class _Scan:
             (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape) @ np.swapaxes(shared, 1, 2)
         )
 
-    def shared(self, own: Sequence[int], before: np.ndarray, known: _Nodes | None = None) -> np.ndarray:
-        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W): from the last sum that is known."""
+    def _shared(self, own: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
+        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W), summed from the nodes on."""
         G = self.G[:, :, own]
-        stops = self.row[before].tolist()
         done, total = 0, np.zeros((len(own), sum(member.shape[2] for member in self.members)))
-        found = np.empty((len(stops), *total.shape))
-        for k, (count, stop) in enumerate(zip(before.tolist(), stops, strict=True)):
-            start = None if known is None else known.last(count)
-            if start is not None and known is not None and self.row[known.before[start]] > done:
-                done, total = int(self.row[known.before[start]]), known.shared[start][own]
+        sums = np.empty((len(before), *total.shape))
+        for k, (count, stop) in enumerate(zip(before.tolist(), self.row[before].tolist(), strict=True)):
+            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > done:
+                done, total = int(self.row[nodes.before[node]]), nodes.shared[node][own]
             if stop > done:
                 part = G[done:stop].reshape(-1, len(own)).T
                 more = [part @ member[done:stop].reshape(part.shape[1], -1) for member in self.members]
                 done, total = stop, total + np.hstack(more)
-            found[k] = total
-        return found
+            sums[k] = total
+        return sums
 
 
 @dataclass(frozen=True)
@@ -270,58 +250,44 @@ class _Nodes:
     shared: np.ndarray
     taken: np.ndarray
 
-    @classmethod
-    def of(cls, every: np.ndarray, scan: _Scan, own: Sequence[int]) -> _Nodes:
-        """At the most :data:`NODES` of the steps, evenly, from the first to the last."""
-        before = every[np.unique(np.linspace(0, len(every) - 1, min(NODES, len(every))).round().astype(int))]
-        shared = scan.shared(own, before)
-        return cls(before, shared, scan.taken_of(shared))
-
-    def last(self, count: int) -> int | None:
-        """Number of the last of them with no more rows before it; None if there is none."""
-        k = int(np.searchsorted(self.before, count, side="right")) - 1
-        return k if k >= 0 else None
+    def last(self, count: int) -> int:
+        """Number of the last of them with no more rows before it; -1 if there is none."""
+        return int(np.searchsorted(self.before, count, side="right")) - 1
 
     def between(self, before: np.ndarray, own: Sequence[int]) -> np.ndarray:
         """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
         taken = self.taken[:, own][:, :, own]
-        high = np.clip(np.searchsorted(self.before, before), 1, max(len(self.before) - 1, 1))
         if len(self.before) == 1:
-            return taken[np.zeros(len(before), dtype=int)]
+            return np.repeat(taken, len(before), axis=0)
+        high = np.clip(np.searchsorted(self.before, before), 1, len(self.before) - 1)
         low = high - 1
         share = ((before - self.before[low]) / (self.before[high] - self.before[low]))[:, None, None]
         return np.asarray((1.0 - share) * taken[low] + share * taken[high])
 
 
-def _from_nothing(sums: np.ndarray) -> np.ndarray:
-    """Sums up to and with each row, (n, ...), as sums before each row, and before none, (n + 1, ...)."""
-    return np.concatenate([np.zeros((1, *sums.shape[1:])), sums])
+def _evenly(before: np.ndarray, most: int) -> np.ndarray:
+    """At the most so many of some steps, evenly, from the first to the last."""
+    return before[np.unique(np.linspace(0, len(before) - 1, min(most, len(before))).round().astype(int))]
 
 
-def _far_apart(before: np.ndarray) -> np.ndarray:
-    """At the most :data:`COARSE` of the places, evenly."""
-    return before[np.unique(np.linspace(0, len(before) - 1, min(COARSE, len(before))).round().astype(int))]
-
-
-def _around(before: np.ndarray, rough: np.ndarray, top: int) -> tuple[int, int]:
-    """First and last index of the places around one of those that were looked at."""
-    ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
-    low, high = np.searchsorted(before, ends).tolist()
-    return low, high
-
-
-def _squares_explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> np.ndarray:
-    """Squares that columns off the model's explain, shape (k,).
+def _best(
+    before: np.ndarray,
+    squares: Callable[[np.ndarray], np.ndarray],
+    promising: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> int:
+    """Index of the step that explains most: of :data:`COARSE` of them first, then of all between the neighbours of the best.
 
     Args:
-        M: Their products, shape (k, d, d).
-        s: Their pulls, shape (k, d).
-        raw: Their squared lengths before they were taken off, shape (k, d).
+        before: Rows before each step, ascending, shape (k,).
+        squares: Squares that some of these explain.
+        promising: Which of the first, ascending, are looked at; all otherwise.
     """
-    scale = 1.0 / np.sqrt(np.maximum(raw, np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
-    along = np.einsum("kst,ks->kt", vectors, s * scale) ** 2
-    return np.asarray(np.sum(np.where(values > DEPENDENT, along / np.maximum(values, DEPENDENT), 0.0), axis=1))
+    rough = _evenly(before, COARSE)
+    some = np.arange(len(rough)) if promising is None else promising(rough)
+    top = int(some[np.argmax(squares(rough[some]))])
+    ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
+    low, high = np.searchsorted(before, ends).tolist()
+    return int(low + np.argmax(squares(before[low : high + 1])))
 
 
 def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
@@ -348,11 +314,10 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     total, precision = with_candidate(state, candidate)
     solution = solve(total, precision, state.solution.sigma)
     d = len(effect.coefficients)
-    sigma = np.concatenate([np.repeat(s, c.size) for s, c in zip(solution.sigma, model.channels, strict=True)])
+    sigma = spread(solution.sigma, model.channels)
     design = by_row(state.design, state.channels, state.present) / sigma[:, None]
     right = by_row(state.right, state.channels, state.present) / sigma
-    slots = [model.slot_index[c.where, c.component] for c in effect.coefficients]
-    motion = model.G[state.used][:, :, slots] / sigma[:, None] @ solution.beta[-d:]
+    motion = model.G[state.used][:, :, model.slots_of(effect)] / sigma[:, None] @ solution.beta[-d:]
     weight = np.sum(motion**2, axis=1)
     asked = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
     seen = weight > 0.0
@@ -366,11 +331,10 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
 
 
 def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
-    """Best log-likelihoods of a series explained by its second column, and by its second and third.
+    """Best log-likelihoods of a series explained by a constant, and by a constant and a step.
 
-    Args:
-        series: What is explained, a constant and a step, shape (n, 3).
-        variance: White noise of each row up to a common factor, shape (n,).
+    The columns of ``series``, shape (n, 3), are what is explained, the constant and the step; ``variance`` is the white noise
+    of each row up to a common factor, shape (n,).
     """
     n = len(series)
     white = float(np.median(variance))

@@ -384,8 +384,7 @@ def _widened(every: Start, state: State, current: Fit) -> Fit:
         return every.geometric
     asked = problem(current.model, every.train, every.progress)
     used = ~flagged(asked.scaled_residual(current.theta), every.train.channels, every.limit)
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    return refit_constants(every, constants, replace(state, used=used), current)
+    return refit_constants(every, replace(state, used=used), current)
 
 
 def _unnamed(

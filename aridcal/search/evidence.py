@@ -14,6 +14,7 @@ Williams 2006, section 5.4), less a price for those two. See docs/how-the-search
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dsterf, dsytrd
@@ -105,8 +106,7 @@ class Score:
     sigma: np.ndarray | None = None
 
 
-@dataclass(frozen=True)
-class Amplitudes:
+class Amplitudes(NamedTuple):
     """The likeliest amplitude of each of n candidates.
 
     Attributes:
@@ -220,22 +220,32 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
 def price(twice: float, freedom: int) -> float:
     """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
-    each = twice / freedom
-    return 0.5 * (twice - freedom * (1.0 + float(np.log(max(each, 1.0)))))
+    return 0.5 * (twice - charge(twice, freedom))
+
+
+def charge(twice: float, freedom: int) -> float:
+    """What columns that raise twice the log-likelihood by so much are charged for their freedom, times two, [nat]."""
+    return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
     """Evidence for columns that are no smooth functions; see :func:`scores`."""
+    squares, freedoms = explained(M, s, raw)
+    twice = profiled(squares, left, count)
+    return [
+        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
+        for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
+    ]
+
+
+def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that columns explain, shape (k,), and how many of these say something new, (k,); see :func:`scores`."""
     scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     new = values > DEPENDENT
     along = np.einsum("kij,ki->kj", vectors, s * scale)
-    explained = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
-    twice = profiled(explained, left, count)
-    return [
-        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
-        for gain, freedom in zip(twice.tolist(), new.sum(axis=1).tolist(), strict=True)
-    ]
+    squares = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
+    return squares, new.sum(axis=1)
 
 
 def _smooth(
@@ -260,8 +270,9 @@ def _smooth(
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
                                DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
-    variance, twice, freedom, seen = (np.concatenate([getattr(part, name) for part in parts]).reshape(len(kernels), -1)
-                                      for name in ("variance", "twice", "freedom", "seen"))  # fmt: skip
+    variance, twice, freedom, seen = (
+        np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
+    )
     best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
     return [
         Score(
@@ -294,20 +305,19 @@ def likeliest(
         count: Numbers measured.
         roughly: Take amplitudes in units of all modes together, which need not be found one by one.
     """
-    found = _by_chain(A, b, left, count, roughly)
-    doubted = found.variance * least > HIDDEN
+    likely = _by_chain(A, b, left, count, roughly)
+    doubted = likely.variance * least > HIDDEN
     if doubted.any():
-        sure = _by_modes(A[doubted], b[doubted], least[doubted], left, count)
-        for name, values in vars(found).items():
-            values[doubted] = vars(sure)[name]
-    return found
+        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], left, count), strict=True):
+            values[doubted] = sure
+    return likely
 
 
-def profiled(explained: np.ndarray, left: float, count: float) -> np.ndarray:
+def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
     """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
     if left == np.inf:
-        return explained
-    return np.asarray(-count * np.log1p(-np.minimum(explained, WHOLE * max(left, TINY)) / max(left, TINY)))
+        return squares
+    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(left, TINY)) / max(left, TINY)))
 
 
 def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
@@ -361,8 +371,8 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
     squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
-    explained = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-    twice = profiled(explained, left, count) - np.sum(np.log(shrunk), axis=2)
+    fitted = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
+    twice = profiled(fitted, left, count) - np.sum(np.log(shrunk), axis=2)
     top = np.argmax(twice, axis=1)
     own = np.arange(len(top)), top
     return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)

@@ -24,6 +24,7 @@ from aridcal.inputs.split import held_together, repeated
 from aridcal.model.measured import readings_at
 from aridcal.model.model import Model
 from aridcal.search.covariates import look
+from aridcal.search.evidence import charge
 from aridcal.search.linear_model import Active, LinearModel
 from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
@@ -63,16 +64,16 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
 
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    solved = _as_solved(start, constants, state)
+    solved = _as_solved(start, current, state)
     state = replace(state, active=tuple(a for a in state.active if not is_scatter(a.effect)))
-    found = refit_constants(start, constants, state, current, solved)
-    more = _regained(start, found)
-    return refit_constants(start, constants + more, state, found) if more else found
+    refitted = refit_constants(start, state, current, solved=solved)
+    more = _regained(start, refitted)
+    return refit_constants(start, state, refitted, more) if more else refitted
 
 
-def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -> dict[str, float]:
+def _as_solved(start: Start, current: Fit, state: State) -> dict[str, float]:
     """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+    constants = _constants(current)
     if state.model.A.shape[2] != len(constants):
         return {}
     before = dict(zip(start.geometric.model.names, start.geometric.theta.tolist(), strict=True))
@@ -84,22 +85,27 @@ def _as_solved(start: Start, constants: tuple[Coefficient, ...], state: State) -
     return found
 
 
+def _constants(fit: Fit) -> tuple[Coefficient, ...]:
+    return tuple(c for c in fit.model.coefficients if c.basis.constant)
+
+
 def refit_constants(
     start: Start,
-    constants: tuple[Coefficient, ...],
     state: State,
     current: Fit,
+    more: tuple[Coefficient, ...] = (),
     solved: Mapping[str, float] = MappingProxyType({}),
 ) -> Fit:
-    """Fit given constants and the effects of a state; see :func:`refit`.
+    """Fit the constants of a fit with the effects of a state; see :func:`refit`.
 
     Args:
         start: Where the search began.
-        constants: To be fitted.
         state: The effects, and the rows in use.
         current: A fit to begin from.
+        more: Further constants.
         solved: Values to begin from instead, by the names of coefficients.
     """
+    constants = (*_constants(current), *more)
     geometric = start.geometric
     effects = tuple(c for a in state.active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(constants + effects)
@@ -117,8 +123,7 @@ def flagged_again(start: Start, state: State, current: Fit) -> Fit:
     used = ~flagged(current.residual, start.train.channels, start.limit)
     if np.array_equal(used, ~current.outliers) or not state.active:
         return current
-    constants = tuple(c for c in current.model.coefficients if c.basis.constant)
-    return refit_constants(start, constants, replace(state, used=used), current)
+    return refit_constants(start, replace(state, used=used), current)
 
 
 def worth(fit: Fit, state: State) -> float:
@@ -126,12 +131,11 @@ def worth(fit: Fit, state: State) -> float:
 
     .. math:: -\sum_c n_c \log \hat\sigma_c - \tfrac12 \sum_e d_e (1 + \log \max(2 g_e / d_e, 1))
 
-    for effects e of d degrees of freedom and evidence g; see :func:`aridcal.search.evidence.price`.
+    for effects e of d degrees of freedom and evidence g; see :func:`aridcal.search.evidence.charge`.
     """
     value = -float(state.equations.count @ np.log(fit.estimated))
     for active in state.active:
-        each = 2.0 * active.score.gain / max(active.score.freedom, 1)
-        value -= 0.5 * active.score.freedom * (1.0 + float(np.log(max(each, 1.0))))
+        value -= 0.5 * charge(2.0 * active.score.gain, active.score.freedom)
     return value
 
 
@@ -142,9 +146,8 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
-    believed = _believed(geometric, constants).any(
-        axis=1
-    )  # few rows: these are near zero, not near the geometric stage
+    # Of few rows these are near zero, not near the geometric stage.
+    believed = _believed(geometric, constants).any(axis=1)
     mean[:count] = np.where(believed, 0.0, [before.get(c.name, 0.0) for c in constants])
     return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
 
@@ -217,8 +220,8 @@ def linear_model(
     r = r + A @ (current.theta - geometric)
     if start.train.repeats.share != 1.0:
         r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
-    in_places, table = any(is_scatter(a.effect) for a in active), _table(start, asked, observed)
-    together = (held_together if in_places else repeated)(start.train)
+    table = _table(start, asked, observed)
+    together = (held_together if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
     run, fold = _folds(start.train, together)
     of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(

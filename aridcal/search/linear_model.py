@@ -12,7 +12,7 @@ from aridcal.effects.basis import Basis, evaluate
 from aridcal.effects.effect import Effect
 from aridcal.effects.smooth import samples_root, smooth_precision
 from aridcal.fit.elimination import Projector
-from aridcal.instruments.channels import Channels
+from aridcal.instruments.channels import Channels, columns
 from aridcal.search.evidence import Score
 from aridcal.search.products import Flat, Layout, Products, Source
 
@@ -94,11 +94,11 @@ class LinearModel:
     def _in_folds(self) -> tuple[np.ndarray, ...]:
         """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
         ordered = self.G[self._layout.order].transpose(2, 0, 1)
-        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in self._layout.parts)
+        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in columns(self.channels))
 
     @property
     def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._slots_of, lambda bases: self._values(bases).T)
+        return Source(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
 
     def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
         """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
@@ -110,13 +110,13 @@ class LinearModel:
         slots, bases = self._index(effect)
         return None if bases is None or self.off is not None else (tuple(dict.fromkeys(slots)), tuple(bases))
 
-    def _slots_of(self, slots: Sequence[int]) -> Flat:
+    def _of_slots(self, slots: Sequence[int]) -> Flat:
         return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds)
 
     def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
         """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
         if self.off is not None or not all(self.prepared(e) for e in effects):
-            X = self._layout.flat(self.side_by_side(effects))
+            X = self._layout.flat(self.columns(*effects))
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
         values = self._values(bases, places)
@@ -148,6 +148,10 @@ class LinearModel:
     def _indices(self) -> dict[Effect, tuple[list[int], list[int] | None]]:
         """Slots and bases of the effects that were asked about; no bases where some are not among ``bases``."""
         return {}
+
+    def slots_of(self, effect: Effect) -> list[int]:
+        """Number of the slot of each coefficient."""
+        return self._index(effect)[0]
 
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
         found = self._indices.get(effect)
@@ -183,18 +187,14 @@ class LinearModel:
         """Whether each slot moves any row, shape (S,) bool."""
         return np.asarray(self.G.any(axis=(0, 1)))
 
-    def columns(self, effect: Effect) -> np.ndarray:
-        """Columns of an effect, shape (N, m, d)."""
-        return self.side_by_side([effect])
-
-    def side_by_side(self, effects: Sequence[Effect]) -> np.ndarray:
+    def columns(self, *effects: Effect) -> np.ndarray:
         """Columns of effects, shape (N, m, d) for the d coefficients of all of them."""
-        slots = [k for e in effects for k in self._index(e)[0]]
+        slots = [k for e in effects for k in self.slots_of(e)]
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
 
     def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
         """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
-        slots, phi = self._index(effect)[0], self._bases_of([effect])
+        slots, phi = self.slots_of(effect), self._bases_of([effect])
         values = np.zeros(self.r.shape)
         for slot in dict.fromkeys(slots):
             own = [k for k, other in enumerate(slots) if other == slot]

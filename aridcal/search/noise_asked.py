@@ -100,14 +100,13 @@ def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
 def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
     """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
     axes, turned = {}, {}
-    position: tuple[object, str] | None = None
     for block, channel, part in _channels(rows):
-        if channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes) and block.traits.tracked:
+        if block.traits.tracked and channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes):
             axes[channel.name] = scaled(own[:, :, part], rows.relative)
-            if channel.axes == TARGET_POSITION.axes:
-                position = block, channel.name
-            elif position is not None and position[0] is block:
-                turned[position[1]] = channel.name
+    for block in rows.blocks:
+        name = {channel.axes: channel.name for channel in block.channels}
+        if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
+            turned[name[TARGET_POSITION.axes]] = name[TARGET_ROTATION.axes]
     return Seen(R, p, axes, turned)
 
 
@@ -125,10 +124,7 @@ def shaped(shape: Shape, seen: Seen) -> Asked:
 def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
     """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
-    Args:
-        rows: N rows.
-        p: Where the model has the target, shape (N, 3), [m].
-        own: Unit vectors of the numbers that each row measures, shape (N, m, m).
+    The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):

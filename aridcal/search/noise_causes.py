@@ -8,9 +8,10 @@ test. Rows are then weighed with what was found: each with its own covariance, f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -160,6 +161,10 @@ class NoiseCauses:
         return self.total * np.sqrt(sum((c.share for c in self.further), np.zeros(len(self.total))))
 
 
+# A cause that explains the scatter as well as another, the maximum with it instead, and its number there.
+Tie = tuple[Asked, Components, int]
+
+
 @dataclass(frozen=True)
 class _Inquiry:
     """What is asked, of which rows.
@@ -196,15 +201,21 @@ class _Inquiry:
         """What the numbers of shapes cost, shape (C,), [nat]."""
         return np.array([0.0 if c.shape is None else c.shape.price(len(self.rows)) for c in self.causes])
 
-    def price_beside(self, found: Components) -> np.ndarray:
-        """The same; no price is enough for what would only be named for what another misses."""
-        return np.where(self.second(found), np.inf, self.price)
+    def beside(self, some: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
+        """Which causes of some kinds act on a channel that one of these kinds acts on among some causes, shape (C,) bool."""
+        along, names = self.of(*kinds), np.array([cause.name for cause in self.causes])
+        return along & np.isin(names, names[some & along])
 
     def second(self, found: Components) -> np.ndarray:
         """Which causes lie in the world's axes beside one of their channel, shape (C,) bool: they would be what it misses."""
-        along = self.of(*IN_WORLD)
-        names = {cause.name for cause, free in zip(self.causes, found.free & along, strict=True) if free}
-        return along & np.array([cause.name in names for cause in self.causes])
+        return self.beside(found.free, IN_WORLD)
+
+    def rests(self, structured: np.ndarray) -> np.ndarray:
+        """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
+
+        A frame that turns slowly is off along no single direction: what one leaves of it, another would be named for.
+        """
+        return self.beside(structured, ("range", "sight", *SHAPES))
 
     def aimed(self, found: Components) -> _Inquiry:
         """The same with all shapes that are not in the model as what it leaves asks for them."""
@@ -241,38 +252,55 @@ class _Inquiry:
         shape, own = self.causes[k].shape, np.arange(len(self.causes)) == k
         if shape is None:
             return self, found
-        value = partial(_height_with, self, found, k)
-        tried = [shape, *self.shapes(roughly_without(self.scatter, found, own)).get(k, [])]
-        best = max(((value(other), n, other) for n, other in enumerate(tried)), key=lambda one: one[:2])
-        height, _, shape = best
-        for step in STEPS:
-            higher = True
-            while higher:
-                there = [(value(other), n, other) for n, other in enumerate(nearby(shape, step, self.seen))]
-                higher = bool(there) and max(there)[0] > height + SETTLED
-                if higher:
-                    height, _, shape = max(there, key=lambda one: one[:2])
+
+        def likeliest(shapes: Iterable[Shape]) -> tuple[float, Shape]:
+            return max(((self._height_with(found, k, other), other) for other in shapes), key=itemgetter(0))
+
+        height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, found, own)).get(k, [])])
+        for step in STEPS if shape.free else ():  # else no number of it was taken from the residual
+            while (better := likeliest(nearby(shape, step, self.seen)))[0] > height + SETTLED:
+                height, shape = better
         again = self.with_shape(k, shape)
         return again, with_one(again.scatter, found, k, float(found.variance[k]), self.held)
 
-    def rests(self, structured: np.ndarray) -> np.ndarray:
-        """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
-
-        A frame that turns slowly is off along no single direction: what one leaves of it, another would be named for.
-        """
-        along = self.of("range", "sight", *SHAPES)
-        names = {cause.name for cause, back in zip(self.causes, structured & along, strict=True) if back}
-        return along & np.array([cause.name in names for cause in self.causes])
+    def _height_with(self, found: Components, k: int, shape: Shape) -> float:
+        """The bound about a maximum where a cause has another shape, what this costs taken off."""
+        free = np.flatnonzero(found.free)
+        blocks = self.scatter.blocks[free]
+        blocks[int(np.searchsorted(free, k)), : self.still.count] = shaped(shape, self.seen).stacked(self.still)
+        rows = replace(self.scatter, blocks=blocks)
+        return highest(rows, self.scatter, found, free) - shape.price(len(self.rows))
 
     def comes_back(self, found: Components, k: int) -> tuple[bool, Components]:
         """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
-        cause = self.causes[k]
-        said = partial(_comes_back, k=k, cause=cause, still=self.still, orders=self.orders[cause.common])
-        share = said(found)
+        share = self._repeated(found, k)
         if 1.0 / UNSURE < share < UNSURE:
             found = settled(self.scatter, found, self.held)
-            share = said(found)
+            share = self._repeated(found, k)
         return share > 1.0, found
+
+    def _repeated(self, found: Components, k: int) -> float:
+        """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
+
+        What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
+        two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J. More than 1 is as
+        much as it takes, in the part and the pairs in which it is most.
+        """
+        cause, still = self.causes[k], self.still
+        pull, kernel = found.pull[: still.count], found.kernel[: still.count]
+        if not cause.common:
+            pull, kernel = still.of_rows(pull), still.blocks_of_rows(kernel)
+        most = 0.0
+        for part in cause.parts:
+            root = still.vectors(part.root) if cause.common else part.root
+            said = np.einsum("nmd,nm->nd", root, pull)
+            known = root.transpose(0, 2, 1) @ kernel @ root
+            for a, b in (pairs.T for pairs in self.orders[cause.common]):
+                product = np.einsum("nd,nd->n", said[a], said[b])
+                whole = REPEATABLE * float(found.variance[k] * np.sum(known[a] * known[b]))
+                chance = ALIKE * float(np.sqrt(product @ product))
+                most = max(most, float(product.sum()) / max(whole, chance, TINY))
+        return most
 
 
 def noise_causes(
@@ -299,22 +327,12 @@ def noise_causes(
     structured = np.zeros(len(held), dtype=bool)
     for _ in range(ROUNDS):
         inquiry, found, structured = _named(inquiry, found, structured, progress)
-        challenged = _challenged(inquiry, found, structured | inquiry.rests(structured))
-        if challenged.stands:
+        inquiry, found, ties = _challenged(inquiry, found, structured | inquiry.rests(structured))
+        if ties is not None:
             break
-        inquiry, found = challenged.inquiry, challenged.found
         structured &= found.free
     found = settled(inquiry.scatter, found, held)
-    return _told(inquiry, found, structured, challenged.ties, asked, fit.theta)
-
-
-def _height_with(inquiry: _Inquiry, found: Components, k: int, shape: Shape) -> float:
-    """The bound about a maximum where a cause has another shape, what this costs taken off."""
-    free = np.flatnonzero(found.free)
-    blocks = inquiry.scatter.blocks[free]
-    blocks[int(np.searchsorted(free, k)), : inquiry.still.count] = shaped(shape, inquiry.seen).stacked(inquiry.still)
-    rows = replace(inquiry.scatter, blocks=blocks)
-    return highest(rows, inquiry.scatter, found, free) - shape.price(len(inquiry.rows))
+    return _told(inquiry, found, structured, ties or {}, asked, fit.theta)
 
 
 def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
@@ -341,7 +359,12 @@ def _named(
     """Causes one after the other, as long as more than chance asks for one."""
     single, alike, held = inquiry.of("joint"), inquiry.of("joints"), inquiry.held
     inquiry = inquiry.aimed(found)
-    while (more := one_more(inquiry.scatter, found, held, inquiry.price_beside(found))) is not None:
+    while True:
+        # No price is enough for what would only be named for what another misses.
+        price = np.where(inquiry.second(found), np.inf, inquiry.price)
+        more = one_more(inquiry.scatter, found, held, price)
+        if more is None:
+            return inquiry, found, structured
         k, found = more
         progress.part(int(found.free.sum()), len(held), "causes")
         if (found.free & single).sum() > 1 and (alike & ~found.free).any():
@@ -353,42 +376,31 @@ def _named(
         structured[k], found = inquiry.comes_back(found, k)
         structured &= found.free
         inquiry = inquiry.aimed(found)
-    return inquiry, found, structured
 
 
-@dataclass(frozen=True)
-class _Challenged:
-    """What named causes are worth beside their rivals.
+def _challenged(
+    inquiry: _Inquiry, found: Components, structured: np.ndarray
+) -> tuple[_Inquiry, Components, dict[int, list[Tie]] | None]:
+    """Let each named cause meet its rivals, and joints that are accused together those of all of them.
 
-    Attributes:
-        stands: True if each is needed and none is explained better by a rival.
-        inquiry: The same; else with the rival's shape.
-        found: The maximum; else with the rival, or without what is not needed.
-        ties: Rivals that are as good, by cause: with what was asked then, and the maximum.
+    Returns:
+        What is asked, the maximum, and the rivals that are as good, by cause. Where a cause is not needed, or a rival explains
+        more, it is the maximum without that cause, or with that rival, and None.
     """
-
-    stands: bool
-    inquiry: _Inquiry
-    found: Components
-    ties: dict[int, list[tuple[Asked, Components, int]]]
-
-
-def _challenged(inquiry: _Inquiry, found: Components, structured: np.ndarray) -> _Challenged:
-    """Let each named cause meet its rivals, and joints that are accused together those of all of them."""
     held, price, scatter = inquiry.held, inquiry.price, inquiry.scatter
     accused = found.free & ~held & ~structured & (found.variance > 0.0)
     sets = [np.arange(len(held)) == k for k in np.flatnonzero(accused)]
     joints = accused & inquiry.of("joint", "joints")
     if joints.sum() > 1:
         sets.insert(0, joints)
-    ties: dict[int, list[tuple[Asked, Components, int]]] = {int(k): [] for k in np.flatnonzero(accused)}
+    ties: dict[int, list[Tie]] = {int(k): [] for k in np.flatnonzero(accused)}
     for own in sets:
         cost = float(price[own].sum())
         base = roughly_without(scatter, found, own)
         if found.log_likelihood - base.log_likelihood - cost < WEAK:
             base = without(scatter, found, own, held)
             if not needed(found, base, cost, held):
-                return _Challenged(False, inquiry, base, {})
+                return inquiry, base, None
         worth = found.log_likelihood - cost
         again = inquiry.aimed(base)
         tried = [
@@ -397,23 +409,19 @@ def _challenged(inquiry: _Inquiry, found: Components, structured: np.ndarray) ->
         gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
         if gains and max(gains) > 0.0:
             k, more = tried[int(np.argmax(gains))]
-            return _Challenged(False, again, more, {})
+            return again, more, None
         for (k, more), gain in zip(tried, gains, strict=True):
             # A shape may well coincide with a joint's motion, so that its price is none to those who must be told of it.
             if gain + again.price[k] > -TIED:
                 for mine in np.flatnonzero(own):
                     ties[int(mine)].append((again.causes[k], more, k))
-    return _Challenged(True, inquiry, found, ties)
+    return inquiry, found, ties
 
 
 def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: float) -> list[tuple[int, float]]:
-    """Rivals of a set of named causes that may be as good, and the variances at which they begin.
+    """Rivals of a set of named causes, shape (C,) bool, that may be as good, and the variances at which they begin.
 
-    Args:
-        inquiry: What is asked, aimed without the set.
-        base: The maximum without it.
-        own: The set, shape (C,) bool.
-        worth: Log-likelihood with the set, what it costs taken off.
+    What is asked is aimed at the maximum without the set; ``worth`` is the log-likelihood with it, what it costs taken off.
     """
     asked = asked_for(inquiry.scatter, base)
     least = max(worth - base.log_likelihood - LOOSE, 0.0)
@@ -459,41 +467,11 @@ def _together(parts: Sequence[np.ndarray]) -> np.ndarray:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _comes_back(found: Components, k: int, cause: Asked, still: Stack, orders: Sequence[np.ndarray]) -> float:
-    """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
-
-    What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
-    two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J. More than 1 is as
-    much as it takes, in the part and the pairs in which it is most.
-
-    Args:
-        found: The maximum with this component.
-        k: Which.
-        cause: The same, its J of the rows.
-        still: How the rows are stacked.
-        orders: Pairs of rows or of standstills, shape (pairs, 2) each.
-    """
-    pull, kernel = found.pull[: still.count], found.kernel[: still.count]
-    if not cause.common:
-        pull, kernel = still.of_rows(pull), still.blocks_of_rows(kernel)
-    most = 0.0
-    for part in cause.parts:
-        root = still.vectors(part.root) if cause.common else part.root
-        said = np.einsum("nmd,nm->nd", root, pull)
-        known = root.transpose(0, 2, 1) @ kernel @ root
-        for a, b in (pairs.T for pairs in orders):
-            product = np.einsum("nd,nd->n", said[a], said[b])
-            whole = REPEATABLE * float(found.variance[k] * np.sum(known[a] * known[b]))
-            chance = ALIKE * float(np.sqrt(product @ product))
-            most = max(most, float(product.sum()) / max(whole, chance, TINY))
-    return most
-
-
 def _told(
     inquiry: _Inquiry,
     found: Components,
     structured: np.ndarray,
-    ties: dict[int, list[tuple[Asked, Components, int]]],
+    ties: dict[int, list[Tie]],
     asked: Problem,
     theta: np.ndarray,
 ) -> NoiseCauses:
@@ -510,28 +488,17 @@ def _told(
     made = np.array([_spreads(variance[k] * causes[k].blocks, inquiry.rows) for k in chosen])
     total = np.maximum(made.sum(axis=0), FLOOR**2)
 
-    def cause(asked: Asked, value: float, std: float, share: np.ndarray, rivals: tuple[NoiseCause, ...]) -> NoiseCause:
-        return NoiseCause(asked.kind, asked.name, asked.unit, value, std, share, asked.shape, rivals)
+    def cause(asked: Asked, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
+        value, share = float(np.sqrt(variance)), _spreads(variance * asked.blocks, inquiry.rows) / total
+        return NoiseCause(asked.kind, asked.name, asked.unit, value, float(std), share, asked.shape, rivals)
 
     def rivals(k: int) -> tuple[NoiseCause, ...]:
-        accused = each[k] * noise > 0.0
-        tied = [tie for own in np.flatnonzero(accused) for tie in ties.get(int(own), [])]
-        return tuple(
-            cause(
-                rival,
-                float(more.sigma[at]),
-                float(more.sigma_std[at]),
-                _spreads(more.variance[at] * rival.blocks, inquiry.rows) / total,
-                (),
-            )
-            for rival, more, at in tied
-        )
+        accused = np.flatnonzero(each[k] * noise > 0.0).tolist()
+        tied = [tie for own in accused for tie in ties.get(own, [])]
+        return tuple(cause(rival, more.variance[at], more.sigma_std[at]) for rival, more, at in tied)
 
     return NoiseCauses(
-        causes=tuple(
-            cause(causes[k], float(np.sqrt(variance[k])), float(std[k]), own / total, rivals(k))
-            for k, own in zip(chosen, made, strict=True)
-        ),
+        causes=tuple(cause(causes[k], variance[k], std[k], rivals(k)) for k in chosen),
         total=np.sqrt(made.sum(axis=0)),
         structured=tuple((p.kind, p.name) for p, back in zip(causes, structured, strict=True) if back),
         relative=relative,

@@ -129,14 +129,6 @@ def _crossed(v: np.ndarray) -> np.ndarray:
     return made
 
 
-@dataclass(frozen=True)
-class _Axes:
-    """What a fit says of the three numbers of one channel in each row: W = u u' - P, and P, shape (N, 3, 3) each."""
-
-    W: np.ndarray
-    P: np.ndarray
-
-
 def aimed(
     seen: Seen, channels: Sequence[Channel], left: np.ndarray, pull: np.ndarray, kernel: np.ndarray
 ) -> list[list[Shape]]:
@@ -155,17 +147,17 @@ def aimed(
     for channel in channels:
         G = seen.own[channel.name]
         u, P = np.einsum("nmi,nm->ni", G, pull), G.transpose(0, 2, 1) @ kernel @ G
-        axes = _Axes(u[:, :, None] * u[:, None, :] - P, P)
-        for some in _of_channel(seen, channel, axes, left):
+        W = u[:, :, None] * u[:, None, :] - P
+        for some in _of_channel(seen, channel, W, P, left):
             some = [replace(shape, among=len(some)) for shape in some]
-            order = np.argsort([-_merit(shape, seen, axes) for shape in some], kind="stable") if len(some) > 1 else [0]
+            order = np.argsort([-_merit(shape, seen, W, P) for shape in some], kind="stable") if len(some) > 1 else [0]
             found.append([some[k] for k in order])
     return found
 
 
 def nearby(shape: Shape, step: float, seen: Seen) -> Iterator[Shape]:
-    """Shapes whose numbers, taken from the residual, are other by a share of their size; none where nothing was taken."""
-    for sign in (step, -step) if shape.free else ():
+    """Shapes whose numbers, taken from the residual, are other by a share of their size."""
+    for sign in (step, -step):
         for axis in np.eye(3):
             if shape.point is not None and shape.vector is None:
                 far = float(np.linalg.norm(shape.point - seen.p.mean(axis=0)))
@@ -194,19 +186,18 @@ def shapes_of(seen: Seen, channel: Channel) -> list[Shape]:
     return [Shape(kind, channel.name) for kind in kinds]
 
 
-def _of_channel(seen: Seen, channel: Channel, axes: _Axes, left: np.ndarray) -> Iterator[list[Shape]]:
-    """Shapes of each kind."""
+def _of_channel(seen: Seen, channel: Channel, W: np.ndarray, P: np.ndarray, left: np.ndarray) -> Iterator[list[Shape]]:
+    """Shapes of each kind, from W = u u' - P and P of the channel's three numbers in each row, shape (N, 3, 3) each."""
     name, p = channel.name, seen.p
-    _, most = _extremes(axes.W.sum(axis=0), axes.P.sum(axis=0))
+    least, most = _extremes(W.sum(axis=0), P.sum(axis=0))
     yield [Shape("direction", name, most, free=2)]
     turned = seen.R.transpose(0, 2, 1)
-    low, high = _extremes((turned @ axes.W @ seen.R).sum(axis=0), (turned @ axes.P @ seen.R).sum(axis=0))
+    low, high = _extremes((turned @ W @ seen.R).sum(axis=0), (turned @ P @ seen.R).sum(axis=0))
     yield [Shape("own_axis", name, high, free=2), Shape("own_axis", name, low, across=True, free=2)]
     if channel.axes != TARGET_POSITION.axes:
         return
     middle = p.mean(axis=0)
     spread = float(np.sqrt(np.mean(np.sum((p - middle) ** 2, axis=1))))
-    least, _ = _extremes(axes.W.sum(axis=0), axes.P.sum(axis=0))
     origin = np.zeros(3)
 
     def from_afar(v: np.ndarray) -> list[np.ndarray]:
@@ -245,13 +236,13 @@ def _lever(seen: Seen, name: str, left: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.lstsq(columns, moved.ravel())[0])
 
 
-def _merit(shape: Shape, seen: Seen, axes: _Axes) -> float:
+def _merit(shape: Shape, seen: Seen, W: np.ndarray, P: np.ndarray) -> float:
     """What a score test expects a shape to gain beside even noise of its channel, less what its numbers cost, [nat]."""
     r = directed(shape, seen)
-    Pr = axes.P @ r
+    Pr = P @ r
     inner = r.transpose(0, 2, 1) @ Pr
-    score = 0.5 * (float(np.vdot(r, axes.W @ r)))
-    own, with_even, even = 0.5 * np.vdot(inner, inner), 0.5 * np.vdot(Pr, Pr), 0.5 * np.vdot(axes.P, axes.P)
-    score -= 0.5 * float(np.einsum("nii->", axes.W)) * with_even / max(even, TINY)
+    score = 0.5 * (float(np.vdot(r, W @ r)))
+    own, with_even, even = 0.5 * np.vdot(inner, inner), 0.5 * np.vdot(Pr, Pr), 0.5 * np.vdot(P, P)
+    score -= 0.5 * float(np.einsum("nii->", W)) * with_even / max(even, TINY)
     alone = max(own - with_even**2 / max(even, TINY), TINY)
     return np.sign(score) * 0.5 * float(score**2 / alone) - shape.price(len(r))

@@ -8,7 +8,7 @@ them, corrected for their number.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -122,16 +122,16 @@ def clues(
     sigma = rms_of_channels(residual, rows)
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
-    found = []
-    if repeats is not None:
-        found.append(_repeated(repeats, sigma))
+    found = [_repeated(repeats, sigma)] if repeats is not None else []
     if len(white) > FEWEST:
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
         views = [View("in world axes", white[some]), *others]
         found.append(_neighbours(views, part.readings))
-        found.append(_order(views, part))
+        each = "measurements" if "time" in part.covariates else "rows"
+        order = part.sequence
+        found.append(_alike("order", f"consecutive {each} have similar residuals", views, order[:-1], order[1:]))
         found += _changes(views, part, progress)
     if not rows.direct:
         found += _of_one_thing(rows, white)
@@ -180,8 +180,7 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
         share = float(np.clip((own[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
         ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
         what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
-        found.append(Clue("thing", what, share, chance))
-    found = [replace(clue, p_value=min(1.0, len(asked) * clue.p_value)) for clue in found]
+        found.append(Clue("thing", what, share, min(1.0, len(asked) * chance)))
     return [min(found, key=lambda clue: clue.p_value)]
 
 
@@ -226,12 +225,8 @@ def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
 
 
 def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
-    """Do rows at near configurations err alike? Distances in standard deviations of each joint's readings."""
-    deviation = readings.std(axis=0)
-    moves = deviation > 1e-9
-    points = readings[:, moves] / deviation[moves]
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])
-    rows, others = np.repeat(np.arange(len(points)), NEIGHBOURS), near[:, 1:].ravel()
+    """Do rows at near configurations err alike?"""
+    rows, others = _nearest(readings)
     apart = rows != others  # of rows that are all alike, the row itself need not be the first
     return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart])
 
@@ -242,14 +237,22 @@ def neighbours(rows: Dataset) -> list[np.ndarray]:
     In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
     nearest.
     """
-    found = [_successors(rows.sequence)]
-    deviation = rows.readings.std(axis=0)
-    moves = deviation > FLOOR
-    found += [_successors(np.argsort(q, kind="stable")) for q in rows.readings.T[moves]]
-    points = rows.readings[:, moves] / deviation[moves]
+    along = [np.argsort(q, kind="stable") for q in rows.readings.T[_moves(rows.readings)]]
+    nearest = np.sort(np.column_stack(_nearest(rows.readings)), axis=1)
+    return [*map(_successors, [rows.sequence, *along]), np.unique(nearest, axis=0)]
+
+
+def _moves(readings: np.ndarray) -> np.ndarray:
+    """Which joints are not always at the same reading, shape (columns,) bool."""
+    return np.asarray(readings.std(axis=0) > FLOOR)
+
+
+def _nearest(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each row, and its :data:`NEIGHBOURS` nearest, in standard deviations of each joint's readings, shape (pairs,) each."""
+    points = readings[:, _moves(readings)]
+    points = points / points.std(axis=0)
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
-    pairs = np.column_stack([np.repeat(np.arange(len(rows)), NEIGHBOURS), near.ravel()])
-    return [*found, np.unique(np.sort(pairs, axis=1), axis=0)]
+    return np.repeat(np.arange(len(points)), NEIGHBOURS), near.ravel()
 
 
 def _successors(order: np.ndarray) -> np.ndarray:
@@ -257,24 +260,8 @@ def _successors(order: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
-def _order(views: Sequence[View], rows: Dataset) -> Clue:
-    """Do rows that follow one another err alike?"""
-    order = rows.sequence
-    each = "measurements" if "time" in rows.covariates else "rows"
-    what = f"consecutive {each} have similar residuals"
-    return _alike("order", what, views, order[:-1], order[1:])
-
-
 def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
-    """Correlation of pairs of rows, against what it is in all orders of the rows.
-
-    Args:
-        question: Which question this answers.
-        what: In words.
-        views: Residuals in sigmas.
-        first: One row of each pair, shape (pairs,).
-        second: The other.
-    """
+    """Correlation of pairs of rows, the first and the second of each, shape (pairs,), against what it is in all their orders."""
     white, starts = _side_by_side(views)
     seen = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
     mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T

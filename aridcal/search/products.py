@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
+from typing import Any
 
 import numpy as np
 
@@ -96,7 +97,8 @@ class Layout:
         """Columns (N, m, d) or residuals (N, m), channel by channel, in the order of the folds."""
         _, _, *tail = values.shape
         ordered = values[self.order]
-        return tuple(ordered[:, part].reshape(len(ordered) * (part.stop - part.start), *tail) for part in self.parts)
+        parts = zip(self.channels, columns(self.channels), strict=True)
+        return tuple(ordered[:, part].reshape(len(ordered) * channel.size, *tail) for channel, part in parts)
 
     def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
@@ -106,14 +108,9 @@ class Layout:
         values[self.order] = ordered
         return values
 
-    @property
-    def parts(self) -> tuple[slice, ...]:
-        """Columns of each channel."""
-        return columns(self.channels)
-
     def stretches(self, size: int) -> list[slice]:
         """Numbers of each fold in a channel of so many numbers a row."""
-        return [slice(low * size, high * size) for low, high in zip(self.starts[:-1], self.starts[1:], strict=True)]
+        return [slice(low, high) for low, high in pairwise((self.starts * size).tolist())]
 
     def numbers(self, places: np.ndarray) -> list[np.ndarray]:
         """Numbers of some rows in each channel, from the rows' places."""
@@ -155,14 +152,7 @@ class Products:
     """What was multiplied so far of one linearised model."""
 
     def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
-        """Start with nothing.
-
-        Args:
-            A: Columns of the constants, shape (N, m, K).
-            r: Residual, shape (N, m).
-            layout: Of the rows.
-            source: Columns of effects.
-        """
+        """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
         self.layout, self.r, self._source = layout, layout.flat(r), source
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
         self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
@@ -178,11 +168,7 @@ class Products:
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
         self.assembled: Assembled | None = None
-        stretches = [layout.stretches(channel.size) for channel in layout.channels]
-        self.squares = np.array([
-            [r[own[f]] @ r[own[f]] for r, own in zip(self.r, stretches, strict=True)]
-            for f in range(len(layout.starts) - 1)
-        ])  # fmt: skip
+        self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
         """The same, columns made by a model that has further bases."""
@@ -221,14 +207,12 @@ class Products:
 
     def _forget(self, effect: Effect) -> None:
         del self._known[effect]
-        self._columns.pop(effect, None)
-        self._pull.pop(effect, None)
-        for key in [key for key in self._between if effect in key]:
-            del self._between[key]
-        for name in [key for key in self._ordered if key[1] == effect]:
-            del self._ordered[name]
-        for limb in [key for key in self._of_limbs if key[0] == effect]:
-            del self._of_limbs[limb]
+        for of_one in (self._columns, self._pull):
+            of_one.pop(effect, None)
+        of_several: tuple[dict[Any, Any], ...] = (self._between, self._ordered, self._of_limbs)
+        for made in of_several:
+            for key in [key for key in made if effect in key]:
+                del made[key]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
@@ -277,11 +261,9 @@ class Products:
         return self._pull[of]
 
     def _folds(self, X: Flat, Y: Flat) -> np.ndarray:
-        stretches = [self.layout.stretches(channel.size) for channel in self.layout.channels]
-        return np.array([
-            [x[own[f]].T @ y[own[f]] for x, y, own in zip(X, Y, stretches, strict=True)]
-            for f in range(len(self.layout.starts) - 1)
-        ])  # fmt: skip
+        """Products of columns fold by fold, shape (F, C, ...)."""
+        stretches = zip(*(self.layout.stretches(channel.size) for channel in self.layout.channels), strict=True)
+        return np.array([[x[own].T @ y[own] for x, y, own in zip(X, Y, fold, strict=True)] for fold in stretches])
 
     def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
         """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""

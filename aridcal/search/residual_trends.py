@@ -45,6 +45,25 @@ BAND = 1.96
 
 
 @dataclass(frozen=True)
+class Course:
+    """What rows ask for with one model, and how it runs over a covariate.
+
+    Attributes:
+        rows: What each row asks for, shape (n,), [m] or [rad].
+        mean: Mean of each slice, shape (B,).
+        smooth: A smooth curve through the means, shape (G,).
+        size: RMS of the means beyond their noise.
+        p_value: That slices of noise would differ from zero as much.
+    """
+
+    rows: np.ndarray
+    mean: np.ndarray
+    smooth: np.ndarray
+    size: float
+    p_value: float
+
+
+@dataclass(frozen=True)
 class Trace:
     """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
 
@@ -53,38 +72,22 @@ class Trace:
         unit: ``m`` or ``rad``.
         covariate: A joint, a measured column, or a load.
         seen: Covariate of the rows that say something of this motion, in order, shape (n,).
-        before: What they ask for without effects, shape (n,).
-        after: What they ask for with the final model, shape (n,).
         centre: Covariate of slices of these rows, shape (B,).
-        mean_before: Mean of each slice without effects, shape (B,).
-        mean_after: The same with the final model.
-        std: Standard deviation that noise gives these means, shape (B,).
-        at: Where two smooth curves through the means were evaluated, shape (G,).
-        smooth_before: The one without effects, shape (G,).
-        smooth_after: The one of the final model, shape (G,).
-        size_before: RMS of the means beyond their noise, without effects, [m] or [rad].
-        size_after: The same with the final model.
-        p_before: That slices of noise would differ from zero as much as those without effects do.
-        p_value: The same for those of the final model.
+        std: Standard deviation that noise gives the means of these, shape (B,).
+        at: Where the smooth curves through the means were evaluated, shape (G,).
+        before: Without effects.
+        after: With the final model.
     """
 
     motion: str
     unit: str
     covariate: str
     seen: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
     centre: np.ndarray
-    mean_before: np.ndarray
-    mean_after: np.ndarray
     std: np.ndarray
     at: np.ndarray
-    smooth_before: np.ndarray
-    smooth_after: np.ndarray
-    size_before: float
-    size_after: float
-    p_before: float
-    p_value: float
+    before: Course
+    after: Course
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,6 @@ class Order:
 
     Attributes:
         timed: True if the order is that of a column ``time``, False if it is that of the table.
-        order: The rows in use in that order, shape (n,).
         lags: Rows apart, shape (L,).
         correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
         bound: What 95 % of such correlations stay within if all is noise.
@@ -104,7 +106,6 @@ class Order:
     """
 
     timed: bool
-    order: np.ndarray
     lags: np.ndarray
     correlation: np.ndarray
     bound: float
@@ -184,24 +185,19 @@ def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tup
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
     sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
     J = moved_by(asked, theta, len(robot.joints)) / sigma[:, None]
-    found = []
+    pulled = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
-        asked_before, asked_after = (
-            np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left)
-        )
         weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
         if weight.any():
-            found.append(
-                _Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", asked_before, asked_after, weight)
-            )
+            ago, now = (np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left))
+            pulled.append(_Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", ago, now, weight))
     axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
     for k, (axis, unit) in enumerate(axes):
         own = ~np.isnan(after[:, k])
         weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
-        was_k, left_k = (np.nan_to_num(r[:, k]) for r in (before, after))
-        found.append(_Pulled(axis, unit, was_k, left_k, weight))
-    return found, asked.rows.world
+        pulled.append(_Pulled(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
+    return pulled, asked.rows.world
 
 
 def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
@@ -219,27 +215,14 @@ def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
     """A motion over a covariate, before and after."""
     seen = pulled.weight > 0
     sliced = _sliced(pulled, values)
-    was, left = (_means(pulled, values, v, sliced) for v in (pulled.before, pulled.after))
-    at = np.linspace(left.centre[0], left.centre[-1], CURVE)
-    return Trace(
-        motion=pulled.motion,
-        unit=pulled.unit,
-        covariate=covariate,
-        seen=values[seen],
-        before=pulled.before[seen],
-        after=pulled.after[seen],
-        centre=left.centre,
-        mean_before=was.mean,
-        mean_after=left.mean,
-        std=left.std,
-        at=at,
-        smooth_before=_smooth(was, at),
-        smooth_after=_smooth(left, at),
-        size_before=_size(was),
-        size_after=_size(left),
-        p_before=_chance(was),
-        p_value=_chance(left),
-    )
+    before, after = (_means(pulled, values, asks, sliced) for asks in (pulled.before, pulled.after))
+    at = np.linspace(after.centre[0], after.centre[-1], CURVE)
+
+    def course(asks: np.ndarray, means: _Means) -> Course:
+        return Course(asks[seen], means.mean, _smooth(means, at), _size(means), _chance(means))
+
+    was, left = course(pulled.before, before), course(pulled.after, after)
+    return Trace(pulled.motion, pulled.unit, covariate, values[seen], after.centre, after.std, at, was, left)
 
 
 @dataclass(frozen=True)
@@ -304,9 +287,8 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
 
 def _order(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    order = rows.sequence
     # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
-    series = [r[~np.isnan(r)] for r in residual[order].T]
+    series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]
     series = [r for r in series if len(r) > 1]
     lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]
     correlation = np.array([np.mean([r[k:] @ r[:-k] / max(float(r @ r), 1e-300) for r in series]) for k in lags])
@@ -315,7 +297,6 @@ def _order(residual: np.ndarray, rows: Dataset) -> Order:
     expected, deviation = pairs / 2, float(np.sqrt(pairs) / 2)
     return Order(
         timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
-        order=order,
         lags=lags,
         correlation=correlation,
         bound=BAND / np.sqrt(max(numbers, 1)),

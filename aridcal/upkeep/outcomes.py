@@ -127,7 +127,7 @@ def _outcome(
         verdict=verdict,
         notices=tuple(str(notice) for notice in rows.origin.notices),
         seconds=0.0,
-        traces=Traces((), (), 0, Order(False, rows.as_read, np.zeros(0), np.zeros(0), 0.0, 0, 0.0, 0.0, 1.0)),
+        traces=Traces((), (), 0, Order(False, np.zeros(0), np.zeros(0), 0.0, 0, 0.0, 0.0, 1.0)),
     )
 
 
