@@ -339,6 +339,13 @@ class Combined:
         wanted = self._prior.precision @ (self._prior.mean - theta)
         return np.asarray(g + _transposed(self._blocks, wanted[:, None])[:, 0])
 
+    def squares(self, theta: np.ndarray) -> float:
+        """How far coefficients are from what is believed of them, squared, in sigmas."""
+        if self._prior is None:
+            return 0.0
+        off = theta - self._prior.mean
+        return float(off @ self._prior.precision @ off)
+
     def of_coefficients(self, values: np.ndarray) -> np.ndarray:
         """Combinations, shape (K, n), as coefficients: B times these."""
         return _transposed(None if self._blocks is None else tuple(b.T for b in self._blocks), values)

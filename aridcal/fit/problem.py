@@ -7,13 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.fit.elimination import (
-    Groups,
-    Known,
-    groups,
-    known,
-    moved,
-)
+from aridcal.fit.elimination import Groups, Known, groups, known, moved
 from aridcal.fit.noise import carried
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels

@@ -7,15 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.fit.elimination import (
-    Eliminated,
-    Projector,
-    Sums,
-    projector,
-    reduced,
-    solved,
-    tied_columns,
-)
+from aridcal.fit.elimination import Eliminated, Projector, Sums, projector, reduced, solved, tied_columns
 from aridcal.fit.flags import cauchy, robust_sigma
 from aridcal.fit.normal_equations import NormalEquations
 from aridcal.fit.problem import Problem, agreed, scaled
@@ -66,10 +58,10 @@ class Linearisation:
     agreed: np.ndarray
     groups: Eliminated | None = None
 
-    @property
-    def squares_known(self) -> float:
-        """What stated facts on the things leave, in sigmas."""
-        return 0.0 if self.groups is None else self.groups.squares
+    def squares(self, weight: np.ndarray, sigma: np.ndarray, channels: Channels) -> float:
+        """Sum of squares in sigmas, rows counted by weight, and of what stated facts on the things leave."""
+        rows = float(np.sum(weighted_squares(self.residual, weight, channels) / sigma**2))
+        return rows if self.groups is None else rows + self.groups.squares
 
     def step_of_groups(self, step: np.ndarray) -> np.ndarray:
         """How the groups' unknowns follow a step of the coefficients (K,), shape (G, U)."""
