@@ -338,7 +338,7 @@ def reduced(
         Ar[c] += flat.T @ (pull - sums.Br[c]).ravel() - sums.BJ[c].reshape(flat.shape).T @ y.ravel()
         rr[c] += float(np.sum(y * (pull - 2.0 * sums.Br[c])))
     first = int(np.argmax(np.einsum("cguu->c", sums.BB)))
-    by = -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])
+    by = tied_columns(X, beforehand)
     left = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
     AA[first] += sigma[first] ** 2 * by.T @ by
     Ar[first] += sigma[first] ** 2 * by.T @ left
@@ -361,6 +361,6 @@ def moved(states: States, of: Groups, instruments: Instruments, step: np.ndarray
     return after
 
 
-def tied_columns(found: Eliminated, beforehand: Known) -> np.ndarray:
-    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K)."""
-    return -np.einsum("tu,tuk->tk", beforehand.by, found.X[beforehand.group])
+def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
+    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
+    return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

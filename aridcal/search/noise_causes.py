@@ -18,7 +18,7 @@ from scipy.linalg import block_diag
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.scatter import Scatter, conditioned, covariances, told_modes
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import (
@@ -427,7 +427,7 @@ def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: floa
 
 def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
     """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
-    here = agreed(part, fit.theta)
+    here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
     y, J, B = map(_together, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
     index = {name: k for k, name in enumerate(fit.model.names)}
