@@ -23,14 +23,11 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from aridcal.fit.normal_equations import NormalEquations
+from aridcal.fit.normal_equations import TINY, NormalEquations, directions
 from aridcal.instruments.channels import Channels, columns
 from aridcal.instruments.kind import Role
 from aridcal.instruments.setup import Instruments, Tie
 from aridcal.model.measured import Measured, States
-
-RANK = 1e-10
-"""Share of a group's largest eigenvalue, each unknown scaled to 1, below which a direction is rounding: it stays where it is."""
 
 STEP = 1e-6
 """Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
@@ -303,16 +300,11 @@ def solved(sums: Sums, of: Groups, beforehand: Known, sigma: np.ndarray) -> Elim
     H, C, b = (np.tensordot(per, total, axes=1) for total in (sums.BB, sums.BJ, sums.Br))
     np.add.at(H, beforehand.group, beforehand.by[:, :, None] * beforehand.by[:, None, :])
     np.add.at(b, beforehand.group, beforehand.by * beforehand.left[:, None])
-    size = np.sqrt(np.einsum("guu->gu", H))
-    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > RANK * np.maximum(values[:, -1:], 1e-300)
-    inverse = (vectors * np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)[:, None, :]) @ vectors.transpose(
-        0, 2, 1
-    )
+    values, vectors, scale = directions(H)
+    inverse = (vectors * (1.0 / values)[:, None, :]) @ vectors.transpose(0, 2, 1)
     inverse = inverse * scale[:, :, None] * scale[:, None, :]
     X, y = inverse @ C, np.einsum("guv,gv->gu", inverse, b)
-    return Eliminated(X, y, inverse, float(np.sum(beforehand.left**2)), told.sum(axis=1))
+    return Eliminated(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
 
 
 def reduced(
@@ -344,7 +336,7 @@ def reduced(
     Ar[first] += sigma[first] ** 2 * by.T @ left
     rr[first] += sigma[first] ** 2 * float(left @ left)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
-    share = share / np.maximum(share.sum(axis=0), 1e-300)
+    share = share / np.maximum(share.sum(axis=0), TINY)
     count[first] += len(beforehand.left)
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ found.rank, 0.0))
 

@@ -253,7 +253,7 @@ class _Inquiry:
                 if higher:
                     height, _, shape = max(there, key=lambda one: one[:2])
         again = self.with_shape(k, shape)
-        return again, with_one(again.scatter, found, k, float(found.variance[k]), self.held)
+        return again, with_one(again.scatter, found, k, float(found.variance[k]))
 
     def rests(self, structured: np.ndarray) -> np.ndarray:
         """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
@@ -270,7 +270,7 @@ class _Inquiry:
         said = partial(_comes_back, k=k, cause=cause, still=self.still, orders=self.orders[cause.common])
         share = said(found)
         if 1.0 / UNSURE < share < UNSURE:
-            found = settled(self.scatter, found, self.held)
+            found = settled(self.scatter, found)
             share = said(found)
         return share > 1.0, found
 
@@ -304,7 +304,7 @@ def noise_causes(
             break
         inquiry, found = challenged.inquiry, challenged.found
         structured &= found.free
-    found = settled(inquiry.scatter, found, held)
+    found = settled(inquiry.scatter, found)
     return _told(inquiry, found, structured, challenged.ties, asked, fit.theta)
 
 
@@ -346,7 +346,7 @@ def _named(
         progress.part(int(found.free.sum()), len(held), "causes")
         if (found.free & single).sum() > 1 and (alike & ~found.free).any():
             # One number in place of several, if it says as much.
-            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)), held)
+            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)))
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         inquiry, found = inquiry.refined(found, k)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
@@ -386,14 +386,12 @@ def _challenged(inquiry: _Inquiry, found: Components, structured: np.ndarray) ->
         cost = float(price[own].sum())
         base = roughly_without(scatter, found, own)
         if found.log_likelihood - base.log_likelihood - cost < WEAK:
-            base = without(scatter, found, own, held)
+            base = without(scatter, found, own)
             if not needed(found, base, cost, held):
                 return _Challenged(False, inquiry, base, {})
         worth = found.log_likelihood - cost
         again = inquiry.aimed(base)
-        tried = [
-            (k, with_one(again.scatter, base, k, variance, held)) for k, variance in _likeliest(again, base, own, worth)
-        ]
+        tried = [(k, with_one(again.scatter, base, k, variance)) for k, variance in _likeliest(again, base, own, worth)]
         gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
         if gains and max(gains) > 0.0:
             k, more = tried[int(np.argmax(gains))]
