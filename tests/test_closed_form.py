@@ -8,7 +8,7 @@ import robots
 from heads import ARID, MODEL, START, T_TIP_CAMERA, T_WORLD_BASE, THETA, poses, shots
 
 from aridcal.effects.effect import Coefficient
-from aridcal.fit.closed_form import closed_form
+from aridcal.result.closed_form import closed_form
 from aridcal.fit.least_squares import Convergence, Fit
 from aridcal.model.model import Model
 
