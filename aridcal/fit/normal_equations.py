@@ -176,6 +176,8 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
 
 def shortest(H: np.ndarray, b: np.ndarray) -> np.ndarray:
     """H^-1 b by the pseudo-inverse of balanced equations, b of shape (K,) or (K, n): the shortest solution if H is singular."""
+    if not len(H):
+        return b
     S, scale = balanced(H)
     wide = scale[:, None] * b.reshape(len(b), -1)
     return np.asarray((scale[:, None] * (np.linalg.pinv(S, hermitian=True) @ wide)).reshape(b.shape))

@@ -266,8 +266,7 @@ def _maximum(
     score, information = derivatives(scatter, here, free)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
-        if moving.any():  # else nothing is left to scatter: exact data
-            step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])
+        step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])  # of none, where data are exact
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))

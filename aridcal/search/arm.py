@@ -9,8 +9,8 @@ import numpy as np
 from aridcal.effects.loads import PAYLOAD, Surroundings, is_load
 from aridcal.errors import CampaignError, shortened
 from aridcal.fit.least_squares import PLENTY, Fit
+from aridcal.fit.noise import independent_share
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
-from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
 from aridcal.fit.residual import eliminated
 from aridcal.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
