@@ -17,7 +17,7 @@ equations, and the variable projection of Golub and Pereyra (1973, doi:10.1137/0
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -25,7 +25,6 @@ from scipy.sparse.csgraph import connected_components
 
 from aridcal.fit.normal_equations import TINY, NormalEquations, directions
 from aridcal.instruments.channels import Channels, columns
-from aridcal.instruments.kind import Role
 from aridcal.instruments.setup import Instruments, Tie
 from aridcal.model.measured import Measured, States
 
@@ -57,9 +56,7 @@ class Groups:
 
     def select(self, rows: np.ndarray) -> Groups:
         """Those of some of the rows."""
-        return Groups(
-            self.row[rows], self.role[rows], self.thing[rows], self.roles, self.group, self.slot, self.unknown
-        )
+        return replace(self, row=self.row[rows], role=self.role[rows], thing=self.thing[rows])
 
     def columns(self, by_thing: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
         """Columns of the groups' unknowns, shape (n, m, U), from those of the rows' own things, shape (n, m, u)."""
@@ -266,23 +263,16 @@ def _tied(
     by = np.zeros(width)
     for end, k in enumerate(pair):
         for component in np.flatnonzero(of.slot[tie.role][k] >= 0).tolist():
-            moved = [list(ends), list(ends)]
-            for side, sign in ((0, 1.0), (1, -1.0)):
-                moved[side][end] = _after(things.role, ends[end], component, sign * STEP)
-            slope = (_value(tie, *moved[0]) - _value(tie, *moved[1])) / (2.0 * STEP)
+            change = np.zeros((2, len(things.role.components)))
+            change[:, component] = STEP, -STEP
+            ahead, back = things.role.moved(np.array([ends[end], ends[end]]), change)
+            slope = (_value(tie, ahead, ends[1 - end]) - _value(tie, back, ends[1 - end])) / (2.0 * STEP)
             by[of.slot[tie.role][k, component]] = slope / tie.std
     return group, by, (tie.value - _value(tie, *ends)) / tie.std
 
 
-def _after(role: Role, state: np.ndarray, component: int, step: float) -> np.ndarray:
-    """The state (P,) of one thing after a change of one of its components."""
-    change = np.zeros((1, len(role.components)))
-    change[0, component] = step
-    return role.moved(state[None], change)[0]
-
-
 def _value(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
-    """What a tie is about: the distance of two points, or the cosine of two normals."""
+    """What a tie is about: the distance of two points, or the cosine of two normals, in either order."""
     a, b = first[:3], second[:3]
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 

@@ -502,8 +502,7 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
 
 def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     """The same rows for fewer coefficients: their bases follow."""
-    model = problem.model
-    if len(kept) == len(model.coefficients):
+    if len(kept) == len(problem.model.coefficients):
         return problem
     return replace(problem, measured=problem.measured.narrowed(kept))
 
