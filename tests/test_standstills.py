@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.scatter import Scatter, place
 from aridcal.fit.stages import fit_geometry
 from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
@@ -86,7 +86,7 @@ def test_what_is_stacked_comes_back() -> None:
 
 def scattered(question: Problem, theta: np.ndarray) -> Scatter:
     """Standstills with two components: the channel, and what a random motion of all rows of a standstill does."""
-    here = agreed(question, theta)
+    here = question.agreeing(theta)
     pieces = here.pieces(theta, slice(None))
     rows, m = question.data, pieces.r.shape[1]
     still = stack(standstills(rows), np.ones((len(rows), m), dtype=bool))
@@ -102,7 +102,7 @@ def scattered(question: Problem, theta: np.ndarray) -> Scatter:
 def test_the_likelihood_with_unknown_things_is_that_of_dense_columns(tmp_path: Path, name: str) -> None:
     """All unknowns of all things as columns of one large matrix, what is known of them as rows of unit noise."""
     question, theta = asked(tmp_path, name)
-    scatter, here = scattered(question, theta), agreed(question, theta)
+    scatter, here = scattered(question, theta), question.agreeing(theta)
     pieces = here.pieces(theta, slice(None))
     n, m = pieces.r.shape
     still = stack(standstills(question.data), np.ones((n, m), dtype=bool))

@@ -88,7 +88,7 @@ def whole(rows: Scatter) -> Components:
     found = estimate(rows, np.ones(2), HELD)
     while (more := one_more(rows, found, HELD)) is not None:
         found = more[1]
-    return settled(rows, found, HELD)
+    return settled(rows, found)
 
 
 @pytest.mark.parametrize("prior", [0.0, 0.7])
@@ -107,7 +107,7 @@ def test_the_bound_touches_the_likelihood_where_it_is_made_and_lies_below_it_els
     gap = dense_likelihood(rows, at) - below(at)
     others = at * np.exp(np.random.default_rng(1).uniform(-2.0, 2.0, (50, 4)))
     assert all(below(other) + gap < dense_likelihood(rows, other) for other in others)
-    top = minorant.best(rows.blocks, rows.stated, M, at, np.ones(4, dtype=bool), np.zeros(4))
+    top = minorant.Bound(rows.blocks, rows.stated, M).best(at, np.ones(4, dtype=bool), np.zeros(4))
     assert dense_likelihood(rows, top) > dense_likelihood(rows, at)
     assert all(below(top) >= below(top * np.exp(step)) for step in np.vstack([np.eye(4), -np.eye(4)]) * 0.05)
 
@@ -191,11 +191,11 @@ def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
             found = more[1]
             told.append(found)
         for one in told:
-            best = settled(rows, one, HELD)
-            best = settled(rows, replace(best, left=1.0), HELD)  # a step further
+            best = settled(rows, one)
+            best = settled(rows, replace(best, left=1.0))  # a step further
             assert one.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
             assert place(rows, one.variance).log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
-            last = settled(rows, one, HELD)
+            last = settled(rows, one)
             assert last.log_likelihood == pytest.approx(best.log_likelihood, abs=1e-3)
             assert place(rows, last.variance).log_likelihood == pytest.approx(best.log_likelihood, abs=1e-3)
 

@@ -17,20 +17,16 @@ equations, and the variable projection of Golub and Pereyra (1973, doi:10.1137/0
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from aridcal.fit.normal_equations import NormalEquations
+from aridcal.fit.normal_equations import TINY, NormalEquations, directions
 from aridcal.instruments.channels import Channels, columns
-from aridcal.instruments.kind import Role
 from aridcal.instruments.setup import Instruments, Tie
 from aridcal.model.measured import Measured, States
-
-RANK = 1e-10
-"""Share of a group's largest eigenvalue, each unknown scaled to 1, below which a direction is rounding: it stays where it is."""
 
 STEP = 1e-6
 """Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
@@ -60,9 +56,7 @@ class Groups:
 
     def select(self, rows: np.ndarray) -> Groups:
         """Those of some of the rows."""
-        return Groups(
-            self.row[rows], self.role[rows], self.thing[rows], self.roles, self.group, self.slot, self.unknown
-        )
+        return replace(self, row=self.row[rows], role=self.role[rows], thing=self.thing[rows])
 
     def columns(self, by_thing: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
         """Columns of the groups' unknowns, shape (n, m, U), from those of the rows' own things, shape (n, m, u)."""
@@ -269,23 +263,16 @@ def _tied(
     by = np.zeros(width)
     for end, k in enumerate(pair):
         for component in np.flatnonzero(of.slot[tie.role][k] >= 0).tolist():
-            moved = [list(ends), list(ends)]
-            for side, sign in ((0, 1.0), (1, -1.0)):
-                moved[side][end] = _after(things.role, ends[end], component, sign * STEP)
-            slope = (_value(tie, *moved[0]) - _value(tie, *moved[1])) / (2.0 * STEP)
+            change = np.zeros((2, len(things.role.components)))
+            change[:, component] = STEP, -STEP
+            ahead, back = things.role.moved(np.array([ends[end], ends[end]]), change)
+            slope = (_value(tie, ahead, ends[1 - end]) - _value(tie, back, ends[1 - end])) / (2.0 * STEP)
             by[of.slot[tie.role][k, component]] = slope / tie.std
     return group, by, (tie.value - _value(tie, *ends)) / tie.std
 
 
-def _after(role: Role, state: np.ndarray, component: int, step: float) -> np.ndarray:
-    """The state (P,) of one thing after a change of one of its components."""
-    change = np.zeros((1, len(role.components)))
-    change[0, component] = step
-    return role.moved(state[None], change)[0]
-
-
 def _value(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
-    """What a tie is about: the distance of two points, or the cosine of two normals."""
+    """What a tie is about: the distance of two points, or the cosine of two normals, in either order."""
     a, b = first[:3], second[:3]
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
@@ -303,16 +290,11 @@ def solved(sums: Sums, of: Groups, beforehand: Known, sigma: np.ndarray) -> Elim
     H, C, b = (np.tensordot(per, total, axes=1) for total in (sums.BB, sums.BJ, sums.Br))
     np.add.at(H, beforehand.group, beforehand.by[:, :, None] * beforehand.by[:, None, :])
     np.add.at(b, beforehand.group, beforehand.by * beforehand.left[:, None])
-    size = np.sqrt(np.einsum("guu->gu", H))
-    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > RANK * np.maximum(values[:, -1:], 1e-300)
-    inverse = (vectors * np.where(told, 1.0 / np.where(told, values, 1.0), 0.0)[:, None, :]) @ vectors.transpose(
-        0, 2, 1
-    )
+    values, vectors, scale = directions(H)
+    inverse = (vectors * (1.0 / values)[:, None, :]) @ vectors.transpose(0, 2, 1)
     inverse = inverse * scale[:, :, None] * scale[:, None, :]
     X, y = inverse @ C, np.einsum("guv,gv->gu", inverse, b)
-    return Eliminated(X, y, inverse, float(np.sum(beforehand.left**2)), told.sum(axis=1))
+    return Eliminated(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
 
 
 def reduced(
@@ -338,13 +320,13 @@ def reduced(
         Ar[c] += flat.T @ (pull - sums.Br[c]).ravel() - sums.BJ[c].reshape(flat.shape).T @ y.ravel()
         rr[c] += float(np.sum(y * (pull - 2.0 * sums.Br[c])))
     first = int(np.argmax(np.einsum("cguu->c", sums.BB)))
-    by = -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])
+    by = tied_columns(X, beforehand)
     left = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
     AA[first] += sigma[first] ** 2 * by.T @ by
     Ar[first] += sigma[first] ** 2 * by.T @ left
     rr[first] += sigma[first] ** 2 * float(left @ left)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
-    share = share / np.maximum(share.sum(axis=0), 1e-300)
+    share = share / np.maximum(share.sum(axis=0), TINY)
     count[first] += len(beforehand.left)
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ found.rank, 0.0))
 
@@ -361,6 +343,6 @@ def moved(states: States, of: Groups, instruments: Instruments, step: np.ndarray
     return after
 
 
-def tied_columns(found: Eliminated, beforehand: Known) -> np.ndarray:
-    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K)."""
-    return -np.einsum("tu,tuk->tk", beforehand.by, found.X[beforehand.group])
+def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
+    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
+    return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

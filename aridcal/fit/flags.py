@@ -22,7 +22,6 @@ the model lacks (one of two sides of a backlash, say) and must not be flagged aw
 CAUCHY = 4.0
 """Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
 
-
 OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
 
@@ -31,7 +30,6 @@ SUSPECT = 3.0
 
 ENDS = 150
 """Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
-
 
 OF_SPACE = ("m", "rad", "px")
 """Units whose noise can be set beside each other."""

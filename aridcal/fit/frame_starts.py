@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,14 +39,15 @@ TURN_COUNTS = 0.1
 """[m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
 Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
+Frames = tuple[pin.SE3, ...]
 
 
 @dataclass(frozen=True)
 class FrameStart:
     """Placements of the world_base and tip_target frames, one per station or one in all."""
 
-    world_base: tuple[pin.SE3, ...]
-    tip_target: tuple[pin.SE3, ...]
+    world_base: Frames
+    tip_target: Frames
 
 
 @dataclass(frozen=True)
@@ -71,10 +72,7 @@ class Posed:
 
 
 def start_frames(
-    data: Posed,
-    known_world: tuple[pin.SE3, ...] | None,
-    known_tip: tuple[pin.SE3, ...] | None,
-    hint_tip: tuple[pin.SE3, ...],
+    data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
 ) -> list[FrameStart]:
     """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
 
@@ -101,12 +99,7 @@ def start_frames(
     return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
 
 
-def best_start(
-    data: Posed,
-    known_world: tuple[pin.SE3, ...] | None,
-    known_tip: tuple[pin.SE3, ...] | None,
-    hint_tip: tuple[pin.SE3, ...],
-) -> FrameStart:
+def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
     """That of the starts with the smallest misfit; see :func:`start_frames`."""
     channels = kind_of_places(data.M).channels
 
@@ -153,20 +146,20 @@ def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
     cost = _lever_cost(data, tips)
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
-    found: list[tuple[float, np.ndarray]] = []
-    for direction in np.vstack([np.zeros(3), np.eye(3), -np.eye(3)]):
-        value, t = _descended(cost, np.tile(size * direction, tips), size)
-        if not any(np.allclose(t, other, atol=SAME * size) for _, other in found):
-            found.append((value, t))
-    found.sort(key=lambda pair: pair[0])
-    slid: list[np.ndarray] = []
-    for _, minimum in found:
-        t = minimum + _slide(cost, minimum, hint.ravel() - minimum, size)
-        if not any(np.allclose(t, other, atol=SAME * size) for other in slid):
-            slid.append(t)
-        if len(slid) == BEST:
-            break
-    return [t.reshape(tips, 3) for t in slid]
+    directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    minima = [_descended(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
+    lowest_first = sorted(_distinct(minima, SAME * size), key=lambda t: cost(t)[0])
+    slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
+    return [t.reshape(tips, 3) for t in _distinct(slid, SAME * size)[:BEST]]
+
+
+def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
+    """Places without those that hardly differ from one before."""
+    kept: list[np.ndarray] = []
+    for t in places:
+        if not any(np.allclose(t, other, atol=apart) for other in kept):
+            kept.append(t)
+    return kept
 
 
 def _lever_cost(data: Posed, tips: int) -> Cost:
@@ -229,13 +222,9 @@ def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarra
 
 
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
-    """The part of a gap to cross that the misfit does not notice: what cannot be identified stays at its hint.
+    """The part of a gap from a minimum t to the hint, shape (T,), that the misfit does not notice, size being its unit [m].
 
-    Args:
-        cost: Misfit and slope, in units of size squared, the base following.
-        t: Its minimum, shape (T,).
-        gap: From there to the hint, shape (T,).
-        size: RMS distance of the measured points from their centre, [m].
+    What cannot be identified stays at its hint.
     """
     steps = 1e-2 * size * np.eye(len(t))
     H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
@@ -246,7 +235,7 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
 
 
-def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.SE3, ...]:
+def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
     """T_world_base of each world frame for known target translations; measured rotations help where there are any.
 
     Args:
@@ -268,23 +257,19 @@ def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> tuple[pin.
     return tuple(frames)
 
 
-def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[tuple[pin.SE3, ...], np.ndarray]]:
+def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]:
     """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
     assert data.M is not None
-    found = []
-    worlds = int(data.world.max()) + 1
-    for sign in (1.0, -1.0):
-        rotations = []
-        for w in range(worlds):
-            own = data.world == w
-            K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
-            U, _, _ = np.linalg.svd(K)
-            rotations.append(nearest_rotation(sign * U[:, 0].reshape(3, 3)))
-        found.append(_translations(data, np.array(rotations), hint))
-    return found
+    turns = []
+    for w in range(int(data.world.max()) + 1):
+        own = data.world == w
+        K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
+        turns.append(np.linalg.svd(K)[0][:, 0].reshape(3, 3))
+    rotations = [np.array([nearest_rotation(sign * turn) for turn in turns]) for sign in (1.0, -1.0)]
+    return [_translations(data, RX, hint) for RX in rotations]
 
 
-def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[pin.SE3, ...], np.ndarray]:
+def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames, np.ndarray]:
     """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
     tips, n = len(hint), len(data.p)
     turn = RX[data.world]
@@ -295,26 +280,23 @@ def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[tuple[
     pull = np.einsum("nik,ni->k", A, b) / n
     moves, V = np.linalg.eigh(information)
     inverse = np.where(moves < FREE**2, 0.0, 1.0 / np.maximum(moves, FREE**2))
-    along = inverse * (V.T @ pull)
-    x = V @ along
+    x = V @ (inverse * (V.T @ pull))
     tX = rest - columns @ x
     bases = [tX[data.world == w].mean(axis=0) for w in range(len(RX))]
     world_base = tuple(pin.SE3(R, base) for R, base in zip(RX, bases, strict=True))
     return world_base, hint + x.reshape(tips, 3)
 
 
-def _seen_from(data: Posed, world_base: tuple[pin.SE3, ...], tips: int) -> np.ndarray:
+def _seen_from(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
     """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
-    from_base = data.m - tX
-    target = np.einsum("nji,nj->ni", RX @ data.R, from_base)
-    tip = np.einsum("nji,nj->ni", data.R, data.p)
-    lever = target - tip
+    target = np.einsum("nji,nj->ni", RX @ data.R, data.m - tX)
+    lever = target - np.einsum("nji,nj->ni", data.R, data.p)
     return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
 
 
-def _with_target(data: Posed, world_base: tuple[pin.SE3, ...], t: np.ndarray, hint: tuple[pin.SE3, ...]) -> FrameStart:
+def _with_target(data: Posed, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
     """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []

@@ -15,9 +15,9 @@ from aridcal.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
 from aridcal.fit.identifiable import Subset, identifiable
 from aridcal.fit.normal_equations import RANK, RIDGE, Combined, Prior, condition, inverse, solve
 from aridcal.fit.problem import Problem
-from aridcal.fit.residual import Linearisation, linearise, things_again, triangle, weighted_squares
+from aridcal.fit.residual import Linearisation, linearise, things_again, triangle
 from aridcal.inputs.dataset import with_sigma
-from aridcal.instruments.channels import Channels, spread
+from aridcal.instruments.channels import spread
 from aridcal.model.model import Model, Rows
 
 ABREAST = 0.1
@@ -252,8 +252,8 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         else:
             there = problem.stepped(here.step_of_groups(step), here.agreed)
             trial = linearise(there, theta + step, weight, scale if robust else sigma)
-        before = _cost(here, here.weight, channels, sigma, theta, prior)
-        after = _cost(trial, here.weight, channels, sigma, theta + step, prior)
+        before = here.squares(here.weight, sigma, channels) + told.squares(theta)
+        after = trial.squares(here.weight, sigma, channels) + told.squares(theta + step)
         taken += 1
         if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
             told = told if trial is here else Combined(trial.equations, prior)
@@ -324,22 +324,19 @@ def fit(
     )
 
 
-def fit_identifiable(
-    problem: Problem, order: Sequence[int], theta: np.ndarray | None = None, groups: Sequence[Sequence[int]] = ()
-) -> Fit:
+def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]] = ()) -> Fit:
     """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
 
     Args:
         problem: All candidates, N rows.
         order: The candidates' indices, the ones to keep before others first.
-        theta: Start, shape (all candidates,); default: zero.
         groups: Candidates that are believed to be alike in size, where rows are few; see :func:`shrunk`.
 
     Raises:
         NotIdentifiable: nothing at all can be identified.
     """
     model = problem.model
-    theta = np.zeros(len(model.coefficients)) if theta is None else theta
+    theta = np.zeros(len(model.coefficients))
     sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
     some = _enough(problem)
     share = np.full(len(some), len(problem) / len(some))
@@ -352,7 +349,8 @@ def fit_identifiable(
         narrowed = _narrowed(problem, kept)
         result = fit(narrowed, theta[kept])
         problem = problem.with_states(result.model.states)
-        theta = _placed(result, kept, len(model.coefficients))
+        theta = np.zeros(len(model.coefficients))
+        theta[kept] = result.theta
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
         # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
         # that makes barely separable must not push out what is well known.
@@ -364,13 +362,6 @@ def fit_identifiable(
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
-
-
-def _placed(result: Fit, kept: Sequence[int], count: int) -> np.ndarray:
-    """Values of all candidates, those that were not fitted zero, shape (count,)."""
-    theta = np.zeros(count)
-    theta[kept] = result.theta
-    return theta
 
 
 def _of_few(
@@ -511,21 +502,9 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
 
 def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
     """The same rows for fewer coefficients: their bases follow."""
-    model = problem.model
-    if len(kept) == len(model.coefficients):
+    if len(kept) == len(problem.model.coefficients):
         return problem
     return replace(problem, measured=problem.measured.narrowed(kept))
-
-
-def _cost(
-    at: Linearisation, weight: np.ndarray, channels: Channels, sigma: np.ndarray, theta: np.ndarray, prior: Prior | None
-) -> float:
-    """Sum of squares in sigmas, and what is known of things and coefficients beforehand."""
-    value = float(np.sum(weighted_squares(at.residual, weight, channels) / sigma**2)) + at.squares_known
-    if prior is not None:
-        off = theta - prior.mean
-        value += float(off @ prior.precision @ off)
-    return value
 
 
 def _estimate(told: Combined, sigma: np.ndarray) -> np.ndarray:

@@ -16,9 +16,11 @@ gap.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from aridcal.fit.normal_equations import balanced
+from aridcal.fit.normal_equations import shortest
 
 STEPS = 30
 """Of Fisher's scoring at the most; a dozen are usual, and each costs a hundredth of a look at all columns."""
@@ -36,63 +38,69 @@ def moments(V: np.ndarray, pull: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     return np.asarray(V - V @ kernel @ V + left[:, :, None] * left[:, None, :])
 
 
-def best(
-    blocks: np.ndarray, stated: np.ndarray, M: np.ndarray, theta: np.ndarray, free: np.ndarray, low: np.ndarray
-) -> np.ndarray:
-    """Variances of C components at which the bound is highest, shape (C,).
+@dataclass(frozen=True)
+class Bound:
+    """The bound about some variances, of N rows of m numbers and C components.
 
-    Args:
+    Attributes:
         blocks: Covariance of each row per unit of each variance, shape (C, N, m, m).
         stated: What no component scatters, shape (N, m, m).
         M: See :func:`moments`, shape (N, m, m).
-        theta: To begin with, shape (C,).
-        free: Those that may move, shape (C,) bool.
-        low: Below which they do not fall, shape (C,).
     """
-    own = np.flatnonzero(free)
-    B, low, found = blocks[own], low[own], theta[own]
-    value, inverse = _bound(B, stated, M, found)
-    for _ in range(STEPS if np.isfinite(value) else 0):
-        # tr(V^-1 (M - V) V^-1 B_k) / 2 and tr(V^-1 B_k V^-1 B_l) / 2.
-        flat = B.reshape(len(own), -1)
-        score = 0.5 * (flat @ (inverse @ M @ inverse - inverse).ravel())
-        half = (inverse @ B).reshape(len(own), *inverse.shape)
-        turned = half.transpose(0, 1, 3, 2).reshape(len(own), -1)
-        information = 0.5 * half.reshape(len(own), -1) @ turned.T
-        moving = ~((found <= low) & (score <= 0.0))
-        step = np.zeros(len(own))
-        even, scale = balanced(information[np.ix_(moving, moving)])
-        step[moving] = scale * (np.linalg.pinv(even, hermitian=True) @ (scale * score[moving]))
-        if float(score @ step) < SETTLED:
-            found = np.maximum(found + step, low)
-            break
-        for _ in range(HALVINGS):
-            wanted = np.maximum(found + step, low)
-            there, inner = _bound(B, stated, M, wanted)
-            if there >= value:
+
+    blocks: np.ndarray
+    stated: np.ndarray
+    M: np.ndarray
+
+    def best(self, theta: np.ndarray, free: np.ndarray, low: np.ndarray) -> np.ndarray:
+        """Variances at which the bound is highest, shape (C,).
+
+        Args:
+            theta: To begin with, shape (C,).
+            free: Those that may move, shape (C,) bool.
+            low: Below which they do not fall, shape (C,).
+        """
+        own = np.flatnonzero(free)
+        B, low, at = self.blocks[own], low[own], theta[own]
+        value, inverse = self._of(B, at)
+        for _ in range(STEPS if np.isfinite(value) else 0):
+            # tr(V^-1 (M - V) V^-1 B_k) / 2 and tr(V^-1 B_k V^-1 B_l) / 2.
+            flat = B.reshape(len(own), -1)
+            score = 0.5 * (flat @ (inverse @ self.M @ inverse - inverse).ravel())
+            half = (inverse @ B).reshape(len(own), *inverse.shape)
+            turned = half.transpose(0, 1, 3, 2).reshape(len(own), -1)
+            information = 0.5 * half.reshape(len(own), -1) @ turned.T
+            moving = ~((at <= low) & (score <= 0.0))
+            step = np.zeros(len(own))
+            step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])
+            if float(score @ step) < SETTLED:
+                at = np.maximum(at + step, low)
                 break
-            step = 0.5 * step
-        else:
-            break
-        found, value, inverse = wanted, there, inner
-    after = theta.copy()
-    after[own] = found
-    return after
+            for _ in range(HALVINGS):
+                wanted = np.maximum(at + step, low)
+                there, inner = self._of(B, wanted)
+                if there >= value:
+                    break
+                step = 0.5 * step
+            else:
+                break
+            at, value, inverse = wanted, there, inner
+        after = theta.copy()
+        after[own] = at
+        return after
 
+    def height(self, theta: np.ndarray) -> float:
+        """The bound at some variances, shape (C,), but for a constant."""
+        used = theta > 0.0
+        return self._of(self.blocks[used], theta[used])[0]
 
-def height(blocks: np.ndarray, stated: np.ndarray, M: np.ndarray, theta: np.ndarray) -> float:
-    """The bound at some variances, shape (C,), but for a constant; arguments as of :func:`best`."""
-    used = theta > 0.0
-    return _bound(blocks[used], stated, M, theta[used])[0]
-
-
-def _bound(B: np.ndarray, stated: np.ndarray, M: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
-    """The bound at some variances, but for a constant, and the rows' V^-1, shape (N, m, m); -inf where a V is not positive."""
-    V = np.tensordot(theta, B, axes=1) + stated
-    try:
-        L = np.linalg.cholesky(V)
-    except np.linalg.LinAlgError:
-        return -np.inf, V
-    inverse = np.linalg.inv(V)
-    logdet = 2.0 * float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2))))
-    return -0.5 * (logdet + float(np.vdot(M, inverse))), inverse
+    def _of(self, B: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        """The bound for some of the blocks, and the rows' V^-1, shape (N, m, m); -inf where a V is not positive."""
+        V = np.tensordot(theta, B, axes=1) + self.stated
+        try:
+            L = np.linalg.cholesky(V)
+        except np.linalg.LinAlgError:
+            return -np.inf, V
+        inverse = np.linalg.inv(V)
+        logdet = 2.0 * float(np.sum(np.log(np.diagonal(L, axis1=1, axis2=2))))
+        return -0.5 * (logdet + float(np.vdot(self.M, inverse))), inverse

@@ -27,6 +27,9 @@ RIDGE = 1e-13
 RANK = 1e-12
 """Share of the largest singular value below which a direction of balanced equations is rounding."""
 
+UNTOLD = 1e-10
+"""Share of the largest eigenvalue of a group's equations, each unknown scaled to 1, below which a direction is rounding."""
+
 SURE = 10.0
 """Times the share that eigenvalues must reach above which LAPACK's estimate of the reciprocal condition says that all of them do:
 it is rarely off by more than 3 (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 15.3)."""
@@ -126,6 +129,15 @@ def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]
     return S, scale
 
 
+def directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues of matrices (G, U, U) brought to unit diagonal, infinite for what is rounding; vectors; scales of unknowns."""
+    size = np.sqrt(np.einsum("guu->gu", H))
+    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
+    told = values > UNTOLD * np.maximum(values[:, -1:], TINY)
+    return np.where(told, values, np.inf), vectors, scale
+
+
 def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
     """H^-1 by Cholesky with a ridge; the pseudo-inverse where H is singular. Twice as fast as :func:`solve`."""
     if not len(H):
@@ -160,6 +172,15 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
     factor, failed = dpotrf(S.T, lower=1, clean=0)
     found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
     return np.asarray((found.T * scale).T)
+
+
+def shortest(H: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """H^-1 b by the pseudo-inverse of balanced equations, b of shape (K,) or (K, n): the shortest solution if H is singular."""
+    if not len(H):
+        return b
+    S, scale = balanced(H)
+    wide = scale[:, None] * b.reshape(len(b), -1)
+    return np.asarray((scale[:, None] * (np.linalg.pinv(S, hermitian=True) @ wide)).reshape(b.shape))
 
 
 def condition(H: np.ndarray) -> float:
@@ -338,6 +359,13 @@ class Combined:
             return g
         wanted = self._prior.precision @ (self._prior.mean - theta)
         return np.asarray(g + _transposed(self._blocks, wanted[:, None])[:, 0])
+
+    def squares(self, theta: np.ndarray) -> float:
+        """How far coefficients are from what is believed of them, squared, in sigmas."""
+        if self._prior is None:
+            return 0.0
+        off = theta - self._prior.mean
+        return float(off @ self._prior.precision @ off)
 
     def of_coefficients(self, values: np.ndarray) -> np.ndarray:
         """Combinations, shape (K, n), as coefficients: B times these."""

@@ -7,13 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.fit.elimination import (
-    Groups,
-    Known,
-    groups,
-    known,
-    moved,
-)
+from aridcal.fit.elimination import Groups, Known, groups, known, moved
 from aridcal.fit.noise import carried
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels
@@ -186,7 +180,9 @@ class Problem:
         return rows_at(self.measured, self.data, positions)
 
     def agreeing(self, theta: np.ndarray) -> Problem:
-        """The same, differentiated where measurements and model agree; see :meth:`Measured.agreeing`."""
+        """The same, differentiated where measurements and model agree, unless it is already; see :meth:`Measured.agreeing`."""
+        if self.measured.agreed is not None:
+            return self
         return replace(self, measured=self.measured.agreeing(theta, self._rows_at))
 
 
@@ -199,11 +195,6 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
     """
     seen = measured(model, data)
     return Problem(data, seen, groups(seen), progress)
-
-
-def agreed(question: Problem, theta: np.ndarray) -> Problem:
-    """The same question, differentiated where measurements and model agree, unless it is already."""
-    return question if question.measured.agreed is not None else question.agreeing(theta)
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

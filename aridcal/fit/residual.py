@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.fit.elimination import (
-    Eliminated,
-    Projector,
-    Sums,
-    projector,
-    reduced,
-    solved,
-    tied_columns,
-)
+from aridcal.fit.elimination import Eliminated, Projector, Sums, projector, reduced, solved, tied_columns
 from aridcal.fit.flags import cauchy, robust_sigma
 from aridcal.fit.normal_equations import NormalEquations
-from aridcal.fit.problem import Problem, agreed, scaled
+from aridcal.fit.problem import Problem, scaled
 from aridcal.instruments.channels import Channels, columns, spread
 
 THINGS = 4
@@ -66,10 +58,10 @@ class Linearisation:
     agreed: np.ndarray
     groups: Eliminated | None = None
 
-    @property
-    def squares_known(self) -> float:
-        """What stated facts on the things leave, in sigmas."""
-        return 0.0 if self.groups is None else self.groups.squares
+    def squares(self, weight: np.ndarray, sigma: np.ndarray, channels: Channels) -> float:
+        """Sum of squares in sigmas, rows counted by weight, and of what stated facts on the things leave."""
+        rows = float(np.sum(weighted_squares(self.residual, weight, channels) / sigma**2))
+        return rows if self.groups is None else rows + self.groups.squares
 
     def step_of_groups(self, step: np.ndarray) -> np.ndarray:
         """How the groups' unknowns follow a step of the coefficients (K,), shape (G, U)."""
@@ -85,7 +77,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
         sigma: See ``weight``, shape (C,); the channels weigh so in what groups of several are solved for.
     """
-    question = agreed(question, theta)
+    question = question.agreeing(theta)
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
@@ -168,25 +160,37 @@ def eliminated(
         weight: Of each row, shape (N,): what things take up is found with these.
         sigma: Noise of each channel, shape (C,).
     """
-    question = agreed(question, theta)
-    found = linearise(question, theta, weight, sigma).groups if question.groups is not None else None
+    question, things = _with_things(question, theta, weight, sigma)
+    yield from _without_things(question, theta, things)
+
+
+def _with_things(
+    question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
+) -> tuple[Problem, Eliminated | None]:
+    """The question where measurements and model agree, and its groups solved; arguments as for :func:`eliminated`."""
+    question = question.agreeing(theta)
+    return question, None if question.groups is None else linearise(question, theta, weight, sigma).groups
+
+
+def _without_things(
+    question: Problem, theta: np.ndarray, things: Eliminated | None
+) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+    """What :func:`eliminated` yields, the groups being solved."""
     for block in question.blocks():
         part = question.pieces(theta, block)
-        if found is None:
+        if things is None:
             yield block, part.r, part.J
         else:
-            yield block, *found.rows(question.group_of(block), part.B, part.J, part.r)
+            yield block, *things.rows(question.group_of(block), part.B, part.J, part.r)
 
 
 def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
     """What takes the unknowns of things off columns of all rows; None where there are none. See :func:`eliminated`."""
-    if question.groups is None:
+    question, things = _with_things(question, theta, weight, sigma)
+    if things is None:
         return None
-    question = agreed(question, theta)
-    found = linearise(question, theta, weight, sigma).groups
-    assert found is not None
     B = np.concatenate([question.pieces(theta, block).B for block in question.blocks()])
-    return projector(B, question.group_of(slice(None)), found, weight, spread(sigma, question.channels))
+    return projector(B, question.group_of(slice(None)), things, weight, spread(sigma, question.channels))
 
 
 def triangle(
@@ -201,19 +205,13 @@ def triangle(
         sigma: Noise of each channel, shape (C,).
         of: Numbers of k coefficients whose columns are asked about, all else held.
     """
-    question = agreed(question, theta)
-    per_number = spread(1.0 / sigma, question.channels)
+    question, things = _with_things(question, theta, weight, sigma)
+    per_number, beforehand = spread(1.0 / sigma, question.channels), question.beforehand()
     count = len(theta[of])
-    R, found = np.empty((0, count)), None
-    beforehand = question.beforehand()
-    if beforehand is not None:
-        found = linearise(question, theta, weight, sigma).groups
-        R = R if found is None else tied_columns(found, beforehand)[:, of]
-    for block in question.blocks():
-        part = question.pieces(theta, block)
-        r, J = part.r, part.J
-        if found is not None:
-            r, J = found.rows(question.group_of(block), part.B, J, r)
+    R = np.empty((0, count))
+    if things is not None and beforehand is not None:
+        R = tied_columns(things.X, beforehand)[:, of]
+    for block, _, J in _without_things(question, theta, things):
         whitened = J[:, :, of] * (np.sqrt(weight[block])[:, None] * per_number)[:, :, None]
         parts = [R]
         for _, some, X in _by_limb(question, block, whitened):

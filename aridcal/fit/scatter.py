@@ -16,10 +16,7 @@ from scipy.linalg.blas import dtrsm, strsm
 from scipy.linalg.lapack import dpotrf
 from scipy.sparse import coo_array, csr_array
 
-from aridcal.fit.normal_equations import TINY, balanced
-
-RANK = 1e-10
-"""Share of a clump's largest eigenvalue, columns scaled to 1, below which a combination of its things is rounding."""
+from aridcal.fit.normal_equations import balanced, directions
 
 UNTOLD = 1e-3
 """Information on a mode of unit prior, from all rows together, below which it is left out: it takes up less than a thousandth
@@ -109,12 +106,8 @@ def full_rank(scatter: Scatter) -> Scatter:
     B = scatter.things
     if B is None or scatter.clump is None:
         return scatter
-    H = scatter.summed(B.transpose(0, 2, 1) @ B)
-    size = np.sqrt(np.einsum("guu->gu", H))
-    scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > RANK * np.maximum(values[:, -1:], TINY)
-    turned = scale[:, :, None] * vectors * np.where(told, 1.0 / np.sqrt(np.where(told, values, 1.0)), 0.0)[:, None, :]
+    values, vectors, scale = directions(scatter.summed(B.transpose(0, 2, 1) @ B))
+    turned = scale[:, :, None] * vectors * (1.0 / np.sqrt(values))[:, None, :]
     return replace(scatter, things=B @ turned[scatter.clump])
 
 

@@ -17,17 +17,14 @@ from aridcal.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
 from aridcal.fit.normal_equations import Prior
 from aridcal.fit.problem import Problem, problem, unscaled
 from aridcal.fit.question import EndFrame, Question
-from aridcal.fit.thing_starts import beginning
+from aridcal.fit.thing_starts import MOST_ROWS, NominalRows, beginning
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import spread
 from aridcal.instruments.setup import TIP
 from aridcal.model.measured import measured, rows_of_data
-from aridcal.model.model import Frames, Model
+from aridcal.model.model import Model
 from aridcal.robot.chain import Robot
 from aridcal.showing import SILENT, Progress
-
-START_ROWS = 1000
-"""Rows that a start is found from: more sharpen it by nothing."""
 
 STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2
 """What no robot leaves after calibration, so that the measurements must be of something else: a twentieth of the targets'
@@ -90,18 +87,17 @@ def fit_geometry(
     try:
         nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
     except NotIdentifiable:
-        _refuse_strangers(asked.residual(np.zeros(len(frames))), train, _targets(asked, np.zeros(len(frames))))
+        zero = np.zeros(len(frames))
+        _refuse_strangers(asked, asked.model, zero, asked.residual(zero))
         raise
     candidates = frames + constants(robot, question.constants)
-    if not candidates:
-        _refuse_strangers(unscaled(nominal.residual, train.relative), train, _targets(asked, nominal.theta, nominal))
-        return Geometry(nominal, nominal)
-    centred, _ = nominal.model.recentred(nominal.theta)
-    asked = problem(centred.with_coefficients(candidates), train, progress)
-    geometric = fit_identifiable(asked, range(len(candidates)), groups=_alike(candidates, len(frames)))
-    left = unscaled(geometric.residual, train.relative)
-    _refuse_strangers(left, train, _targets(asked, geometric.theta, geometric))
-    return Geometry(nominal, with_restarts(geometric, train, progress))
+    geometric = nominal
+    if candidates:
+        centred, _ = nominal.model.recentred(nominal.theta)
+        asked = problem(centred.with_coefficients(candidates), train, progress)
+        geometric = fit_identifiable(asked, range(len(candidates)), _alike(candidates, len(frames)))
+    _refuse_strangers(asked, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
+    return Geometry(nominal, with_restarts(geometric, train, progress) if candidates else nominal)
 
 
 def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
@@ -123,21 +119,21 @@ def _start(
     if train.labels.target is not None:
         number = np.searchsorted(np.array(names), train.labels.target.astype(str))
     if seen.direct:
-        some = thin(replace(seen.rows, world=station, tip=number), START_ROWS)
+        some = thin(replace(seen.rows, world=station, tip=number), MOST_ROWS)
         train, seen, station, number = train.select(some), seen[some], station[some], number[some]
     R, p = bare.poses(np.zeros(0), seen.rows)
     hints = {k: pin.SE3.Identity() if name == TIP else question.target(name).at for k, name in enumerate(names)}
     fixed = not measures_target(train)
     held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown}
     known = None if world.unknown and has_world(train) else world.at
-    found = beginning(train, seen, R, p, number, hints, held, station, known)
+    start = beginning(NominalRows(train, seen, R, p, number, hints, held, station, known))
     return Model(
         robot,
         frames,
-        _labelled(world, found.world_base, labels),
-        tuple((name, found.tip_target[k]) for k, name in enumerate(names)),
+        tuple(zip(frame_labels("world_base", world, labels, train), start.world_base, strict=True)),
+        tuple((name, start.tip_target[k]) for k, name in enumerate(names)),
         instruments=train.instruments,
-        states=found.states,
+        states=start.states,
         routes=train.labels.routes,
         target_on=question.target_on,
     )
@@ -150,7 +146,7 @@ def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
     """
     model = _start(question, robot, rows, labels, ())
-    some = thin(rows_of_data(model, rows), START_ROWS)
+    some = thin(rows_of_data(model, rows), MOST_ROWS)
     return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
 
 
@@ -178,40 +174,37 @@ def recentred(fit: Fit) -> Fit:
     return replace(fit, model=model, theta=theta)
 
 
-def _targets(asked: Problem, theta: np.ndarray, fit: Fit | None = None) -> np.ndarray:
-    """Where a model has the targets, shape (N, 3), [m]."""
-    return (asked.model if fit is None else fit.model).poses(theta, asked.rows)[1]
-
-
-def _refuse_strangers(residual: np.ndarray, train: Dataset, targets: np.ndarray) -> None:
+def _refuse_strangers(asked: Problem, model: Model, theta: np.ndarray, residual: np.ndarray) -> None:
     """Refuse measurements that cannot be of this robot: a result would look like one and be none.
 
     Args:
-        residual: What the geometry leaves, shape (N, m), [m] and [rad].
-        train: The rows.
-        targets: Where the model has the target, shape (N, 3), [m].
+        asked: N rows.
+        model: The geometry.
+        theta: Its coefficients.
+        residual: What it leaves of the rows, shape (N, m), [m] and [rad].
 
     Raises:
         NotOfThisRobot: naming what to check.
     """
-    places = np.where(np.isnan(train.position), targets, train.position)
+    train = asked.data
+    places = np.where(np.isnan(train.position), model.poses(theta, asked.rows)[1], train.position)
     centre = places - np.nanmean(places, axis=0)
-    spread = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
-    for channel, sigma in zip(train.channels, robust_sigma(residual, train.channels).tolist(), strict=True):
-        if channel.unit == "m" and sigma > max(STRANGE_SHARE * spread, STRANGE_LENGTH):
-            left = f"{1e3 * sigma:.0f} mm per axis of the {1e3 * spread:.0f} mm by which the targets spread"
-            advice = "every joint's column, unit, sign and order of rows, and the unit of the positions"
-            break
-        if channel.unit == "rad" and sigma > STRANGE_ANGLE:
-            left = f"{1e3 * sigma:.0f} mrad per axis"
-            advice = "the order qx qy qz qw, `orientation` and its unit"
-            break
-        if channel.unit == "px" and sigma > STRANGE_PIXELS:
-            left = f"{sigma:.0f} px per axis"
-            advice = "every joint's column, unit, sign and order of rows, which marker is which, and that no image is mirrored"
-            break
-    else:
+    extent = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
+    most = {"m": max(STRANGE_SHARE * extent, STRANGE_LENGTH), "rad": STRANGE_ANGLE, "px": STRANGE_PIXELS}
+    sigmas = zip(train.channels, robust_sigma(residual, train.channels).tolist(), strict=True)
+    strange = [(channel.unit, sigma) for channel, sigma in sigmas if sigma > most.get(channel.unit, np.inf)]
+    if not strange:
         return
+    unit, sigma = strange[0]
+    columns = "every joint's column, unit, sign and order of rows"
+    left, advice = {
+        "m": (
+            f"{1e3 * sigma:.0f} mm per axis of the {1e3 * extent:.0f} mm by which the targets spread",
+            f"{columns}, and the unit of the positions",
+        ),
+        "rad": (f"{1e3 * sigma:.0f} mrad per axis", "the order qx qy qz qw, `orientation` and its unit"),
+        "px": (f"{sigma:.0f} px per axis", f"{columns}, which marker is which, and that no image is mirrored"),
+    }[unit]
     raise NotOfThisRobot(
         f"{train.title}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
         "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
@@ -226,11 +219,6 @@ def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...])
         raise MeasurementError("a frame is per station: the table needs a `station` column")
     number = {label: k for k, label in enumerate(labels)}
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
-
-
-def _labelled(frame: EndFrame, placements: tuple[pin.SE3, ...], labels: tuple[str, ...]) -> Frames:
-    names: tuple[str | None, ...] = labels if frame.by_station else (None,)
-    return tuple(zip(names, placements, strict=True))
 
 
 def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:

@@ -110,10 +110,19 @@ def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.nd
     groups, first, count = np.unique(group[~keep], return_index=True, return_counts=True)
     of_clump = clump[~keep][first]
     order = np.lexsort((groups, -count, of_clump))
-    total = np.cumsum(size[groups[order]])
-    begins = np.diff(of_clump[order], prepend=-1) > 0
-    before = np.maximum.accumulate(np.where(begins, total - size[groups[order]], 0))
-    return np.asarray(keep | np.isin(group, groups[order][begins | (total - before <= COLUMNS)]))
+    groups, of_clump = groups[order], of_clump[order]
+    before = _sum_before(of_clump, size[groups])
+    return np.asarray(keep | np.isin(group, groups[(before == 0) | (before + size[groups] <= COLUMNS)]))
+
+
+def _sum_before(label: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Sum of the sizes (n,) that come before each among those of its label (n,), counted from -1 or 0."""
+    order = np.argsort(label, kind="stable")
+    total = np.cumsum(size[order]) - size[order]
+    begins = np.diff(label[order], prepend=-2) > 0
+    before = np.empty(len(label), dtype=int)
+    before[order] = total - np.maximum.accumulate(np.where(begins, total, 0))
+    return before
 
 
 @dataclass(frozen=True)
@@ -175,13 +184,8 @@ def stack(standstill: np.ndarray, there: np.ndarray) -> Stack:
         there: Which numbers each row measures, shape (n, m) bool.
     """
     names, number = np.unique(standstill, return_inverse=True)
-    order = np.argsort(number, kind="stable")
-    size = there.sum(axis=1)[order]
-    before = np.cumsum(size) - size
-    first = np.flatnonzero(np.diff(number[order], prepend=-1))
-    started = np.empty(len(number), dtype=int)
-    started[order] = before - before[first][number[order]]
-    place = np.where(there, started[:, None] + np.cumsum(there, axis=1) - 1, -1)
+    before = _sum_before(number, there.sum(axis=1))
+    place = np.where(there, before[:, None] + np.cumsum(there, axis=1) - 1, -1)
     return Stack(number, place, len(names), int(place.max(initial=0)) + 1)
 
 
@@ -201,7 +205,9 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
     groups, first = np.unique(group[group >= 0], return_index=True)
     clump_of = np.full(len(unknown), -1)
     clump_of[groups] = clump[group >= 0][first]
-    offset, width = _side_by_side(clump_of, unknown.sum(axis=1))
+    size = unknown.sum(axis=1)
+    offset = _sum_before(clump_of, size)
+    width = int((offset + size)[clump_of >= 0].max())
 
     def wide(values: np.ndarray, of: np.ndarray) -> np.ndarray:
         """Columns of groups' unknowns, shape (n, m, U), as those of their clumps'."""
@@ -227,18 +233,3 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
         clump=np.concatenate([of_standstill, clump_of[of_known]]),
     )
     return full_rank(behind)
-
-
-def _side_by_side(clump: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, int]:
-    """First column of each group among those of its clump, shape (G,), and columns of the widest clump.
-
-    Args:
-        clump: Of each group, shape (G,); -1 for groups that no row refers to.
-        size: Unknowns of each, shape (G,).
-    """
-    order = np.argsort(clump, kind="stable")
-    total = np.cumsum(size[order]) - size[order]
-    begins = np.diff(clump[order], prepend=-2) > 0
-    offset = np.empty(len(clump), dtype=int)
-    offset[order] = total - np.maximum.accumulate(np.where(begins, total, 0))
-    return offset, int((offset + size)[clump >= 0].max())

@@ -41,20 +41,11 @@ class Beginning:
     states: dict[str, np.ndarray]
 
 
-def beginning(
-    data: Dataset,
-    seen: Measured,
-    R: np.ndarray,
-    p: np.ndarray,
-    tip: np.ndarray,
-    hints: Mapping[int, pin.SE3],
-    held: Mapping[int, pin.SE3],
-    station: np.ndarray,
-    world: pin.SE3 | None,
-) -> Beginning:
-    """Find a start.
+@dataclass(frozen=True)
+class NominalRows:
+    """Rows as the nominal arm has them, and what is known of their frames.
 
-    Args:
+    Attributes:
         data: N rows.
         seen: What they read.
         R: Nominal T_base_tip, shape (N, 3, 3); of rows whose things a link carries, T_link_tip.
@@ -64,52 +55,82 @@ def beginning(
         held: Those that are known.
         station: Number of each row's T_world_base, shape (N,); only rows that measure the target may have several.
         world: T_world_base where it is known.
+    """
+
+    data: Dataset
+    seen: Measured
+    R: np.ndarray
+    p: np.ndarray
+    tip: np.ndarray
+    hints: Mapping[int, pin.SE3]
+    held: Mapping[int, pin.SE3]
+    station: np.ndarray
+    world: pin.SE3 | None
+
+    def start(
+        self, own: np.ndarray, kind: Kind, things: Mapping[str, Things], base: pin.SE3, target: pin.SE3, known: bool
+    ) -> Start:
+        """The best start from some rows of one block, whose arm stands on a base; ``known`` if the target is."""
+        turned = base.rotation @ self.R[own]
+        places = self.p[own] @ base.rotation.T + base.translation
+        observed = kind.numbers(self.seen.observed[own])
+        refers = self.seen.refers[own, : len(kind.roles)]
+        made = starts(kind, turned, places, observed, refers, things, target.homogeneous, known)
+        if not made:
+            raise NotIdentifiable([[self.seen.blocks[int(self.seen.block[own[0]])].name]])
+        return made[0]
+
+
+def beginning(rows: NominalRows) -> Beginning:
+    """Find a start.
 
     Raises:
         NotIdentifiable: the rows of a block cannot tell where its things are.
     """
-    stands = (world or pin.SE3.Identity(),) * (int(station.max(initial=0)) + 1)
-    found = Beginning(stands, dict(held), {n: t.start for n, t in seen.instruments.things.items()})
-    placed = world is not None or not (seen.instruments.world or _of_target(seen))
-    posed = np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if KINDS[block.kind].places])
-    if posed.any():
-        found = _from_poses(data, R, p, tip, np.flatnonzero(posed), hints, found, station, world)
-        placed = True
-    starts_on_link = np.array([route.start is not None for route in data.labels.routes])
-    linked = np.zeros(len(data), dtype=bool) if data.labels.route is None else starts_on_link[data.labels.route]
+    seen, hints = rows.seen, rows.hints
+    stands = (rows.world or pin.SE3.Identity(),) * (int(rows.station.max(initial=0)) + 1)
+    at = Beginning(stands, dict(rows.held), {n: t.start for n, t in seen.instruments.things.items()})
+    posed = np.flatnonzero(np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if block.traits.places]))
+    if len(posed):
+        at = _from_poses(rows, posed, at)
+    of_target = any(block.traits.places for block in seen.blocks)
+    placed = rows.world is not None or len(posed) > 0 or not (seen.instruments.world or of_target)
+    starts_on_link = np.array([route.start is not None for route in rows.data.labels.routes])
+    linked = (
+        np.zeros(len(rows.tip), dtype=bool)
+        if rows.data.labels.route is None
+        else starts_on_link[rows.data.labels.route]
+    )
     order = sorted(range(len(seen.blocks)), key=lambda b: not seen.blocks[b].traits.level)  # it knows the vertical
     for b in order:
-        block = seen.blocks[b]
-        if KINDS[block.kind].places:
+        kind, of_block = seen.of_kind(b)
+        if kind.places:
             continue
-        kind, own = seen.of_kind(b)
-        if block.traits.level and world is None and not posed.any():
-            found = replace(found, world_base=(_levelled(seen, own, R, p, hints, tip, held),))
-        pairs = np.unique(np.column_stack([tip[own], linked[own]]), axis=0).tolist()
-        parts = [(k, own[(tip[own] == k) & (linked[own] == carried)], bool(carried)) for k, carried in pairs]
-        for k, rows, carried in sorted(parts, key=lambda part: -len(part[1])):
-            rows = _some(rows, seen, kind)
-            base = pin.SE3.Identity() if carried else found.world_base[0]
-            if not placed and not carried:
-                loose = {name: _unknown(t) for name, t in _things(kind, seen, found.states).items()}
-                first = _started(kind, rows, loose, seen, base, R, p, hints[k], False)
+        if kind.level and rows.world is None and not len(posed):
+            at = replace(at, world_base=(_levelled(rows, of_block),))
+        limbs = np.column_stack([rows.tip[of_block], linked[of_block]])
+        parts = [
+            (k, of_block[(limbs == (k, on_link)).all(axis=1)], on_link)
+            for k, on_link in np.unique(limbs, axis=0).tolist()
+        ]
+        for k, own, on_link in sorted(parts, key=lambda part: -len(part[1])):
+            own = _some(own, seen, kind)
+            base = pin.SE3.Identity() if on_link else at.world_base[0]
+            if not placed and not on_link:
+                loose = {name: _unknown(t) for name, t in _things(kind, seen, at.states).items()}
+                first = rows.start(own, kind, loose, base, hints[k], False)
                 there = _placed(kind, first, seen)
                 if there is not None:
-                    found = replace(found, world_base=(there,), tip_target=found.tip_target | {k: _se3(first.target)})
+                    at = replace(at, world_base=(there,), tip_target=at.tip_target | {k: pin.SE3(first.target)})
                     base, placed = there, True
-            known = k in found.tip_target
-            target = found.tip_target.get(k, hints[k])
-            own_things = _things(kind, seen, found.states)
-            start = _started(kind, rows, own_things, seen, base, R, p, target, known)
-            states = dict(found.states)
+            target, known = at.tip_target.get(k, hints[k]), k in at.tip_target
+            start = rows.start(own, kind, _things(kind, seen, at.states), base, target, known)
+            states = dict(at.states)
             for name, state in start.states.items():
                 states[name] = np.where(np.isnan(states[name]), state, states[name])
-            found = replace(found, tip_target=found.tip_target | {k: _se3(start.target)}, states=states)
-    return replace(
-        found,
-        tip_target={k: found.tip_target.get(k, hints[k]) for k in hints},
-        states=_with_lost(data, seen, found.states),
-    )
+            at = replace(at, tip_target=at.tip_target | {k: pin.SE3(start.target)}, states=states)
+    tip_target = {k: at.tip_target.get(k, hints[k]) for k in hints}
+    return replace(at, tip_target=tip_target, states=_with_lost(rows.data, seen, at.states))
 
 
 def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -137,26 +158,15 @@ def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) 
     return found
 
 
-def _levelled(
-    seen: Measured,
-    own: np.ndarray,
-    R: np.ndarray,
-    p: np.ndarray,
-    hints: Mapping[int, pin.SE3],
-    tip: np.ndarray,
-    held: Mapping[int, pin.SE3],
-) -> pin.SE3:
+def _levelled(rows: NominalRows, own: np.ndarray) -> pin.SE3:
     """The base turned the shortest way so that the rows of a sensor see gravity downwards."""
-    kind = KINDS["inclination"]
-    read = seen.observed[own, :3]
+    R, read, number = rows.R[own], rows.seen.observed[own, :3], int(rows.tip[own[0]])
     read = read / np.linalg.norm(read, axis=1, keepdims=True)
-    number = int(tip[own[0]])
-    target, known = held.get(number, hints[number]).homogeneous, number in held
+    target, known = rows.held.get(number, rows.hints[number]).homogeneous, number in rows.held
     refers = np.zeros((len(own), 0), dtype=int)
-    made = starts(kind, R[own], p[own], read, refers, {}, target, known)
     best, least = DOWN, np.inf
-    for start in made:
-        felt = np.einsum("nij,jk,nk->ni", R[own], start.target[:3, :3], read)
+    for start in starts(KINDS["inclination"], R, rows.p[own], read, refers, {}, target, known):
+        felt = np.einsum("nij,jk,nk->ni", R, start.target[:3, :3], read)
         down = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
         spread = float(np.median(np.linalg.norm(felt - down, axis=1)))
         if spread < least:
@@ -165,41 +175,26 @@ def _levelled(
     return pin.SE3(turn, np.zeros(3))
 
 
-def _of_target(seen: Measured) -> bool:
-    """True if rows measure the target itself in the world frame."""
-    return any(KINDS[block.kind].places for block in seen.blocks)
-
-
-def _from_poses(
-    data: Dataset,
-    R: np.ndarray,
-    p: np.ndarray,
-    tip: np.ndarray,
-    rows: np.ndarray,
-    hints: Mapping[int, pin.SE3],
-    found: Beginning,
-    station: np.ndarray,
-    world: pin.SE3 | None,
-) -> Beginning:
+def _from_poses(rows: NominalRows, own: np.ndarray, at: Beginning) -> Beginning:
     """Bases and targets from rows that measure these themselves."""
-    numbers, own = np.unique(tip[rows], return_inverse=True)
-    M = None if data.rotation is None else data.rotation[rows]
+    numbers, tip = np.unique(rows.tip[own], return_inverse=True)
+    M = None if rows.data.rotation is None else rows.data.rotation[own]
     if M is not None and np.isnan(M).any():
         M = None
-    targets = {int(k): found.tip_target.get(int(k)) for k in numbers}
+    targets = {k: at.tip_target.get(k) for k in numbers.tolist()}
     known = tuple(T for T in targets.values() if T is not None)
     best = best_start(
-        Posed(R[rows], p[rows], M, data.position[rows], station[rows], own),
-        None if world is None else found.world_base,
+        Posed(rows.R[own], rows.p[own], M, rows.data.position[own], rows.station[own], tip),
+        None if rows.world is None else at.world_base,
         known if len(known) == len(targets) else None,
-        tuple(hints[k] for k in targets),
+        tuple(rows.hints[k] for k in targets),
     )
     placed = {k: held or T for (k, held), T in zip(targets.items(), best.tip_target, strict=True)}
-    return replace(found, world_base=best.world_base, tip_target=found.tip_target | placed)
+    return replace(at, world_base=best.world_base, tip_target=at.tip_target | placed)
 
 
 def _things(kind: Kind, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
-    """Things of a kind's roles where they are; those found before count as known."""
+    """Things of a kind's roles where they are; those that have a place by now count as known."""
     made = {}
     for role in kind.roles:
         things = seen.instruments.things[role.name]
@@ -216,29 +211,6 @@ def _unknown(things: Things) -> Things:
     return replace(things, start=np.full(things.start.shape, np.nan), free=free)
 
 
-def _started(
-    kind: Kind,
-    rows: np.ndarray,
-    things: Mapping[str, Things],
-    seen: Measured,
-    base: pin.SE3,
-    R: np.ndarray,
-    p: np.ndarray,
-    target: pin.SE3,
-    known: bool,
-) -> Start:
-    """The best start from some rows of one block, whose arm stands on a base."""
-    turned = base.rotation @ R[rows]
-    places = p[rows] @ base.rotation.T + base.translation
-    observed = kind.numbers(seen.observed[rows])
-    refers = seen.refers[rows, : len(kind.roles)]
-    made = starts(kind, turned, places, observed, refers, things, target.homogeneous, known)
-    if not made:
-        block = seen.blocks[int(seen.block[rows[0]])]
-        raise NotIdentifiable([[block.name]])
-    return made[0]
-
-
 def _placed(kind: Kind, start: Start, seen: Measured) -> pin.SE3 | None:
     """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
     for role in kind.roles:
@@ -247,7 +219,7 @@ def _placed(kind: Kind, start: Start, seen: Measured) -> pin.SE3 | None:
         given = np.where(exact[:, None], things.start, np.nan)
         T = aligned(role, start.states[role.name], given)
         if T is not None:
-            return _se3(T)
+            return pin.SE3(T)
     return None
 
 
@@ -263,7 +235,3 @@ def _some(rows: np.ndarray, seen: Measured, kind: Kind) -> np.ndarray:
     sizes = np.bincount(label)[np.unique(label)]
     within = np.concatenate([np.arange(size) for size in sizes])
     return np.sort(rows[order[ranked[within < share]]])
-
-
-def _se3(T: np.ndarray) -> pin.SE3:
-    return pin.SE3(T[:3, :3], T[:3, 3])

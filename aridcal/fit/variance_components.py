@@ -23,13 +23,13 @@ zero in these rows alone, and are solved for clump by clump: with M the projecti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
-from aridcal.fit.minorant import best, height, moments
-from aridcal.fit.normal_equations import TINY, balanced
+from aridcal.fit.minorant import HALVINGS, Bound, moments
+from aridcal.fit.normal_equations import TINY, shortest
 from aridcal.fit.scatter import Place, Scatter, covariances, derivatives, place
 
 STEPS = 40
@@ -65,8 +65,8 @@ LEAST = 1e-6
 """Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an instrument a
 thousand times better than the scatter is no instrument."""
 
-HALVINGS = 12
-"""Times that a step is halved at the most before it counts as rounding."""
+IMITATED = 0.01
+"""Share of a component's information that must be its own: with less, those in the model imitate it."""
 
 
 @dataclass(frozen=True)
@@ -130,18 +130,14 @@ def estimate(scatter: Scatter, channels: np.ndarray, held: np.ndarray) -> Compon
     """
     start = np.zeros(len(held))
     start[held] = channels
-    return _maximum(scatter, start, held, held)
+    return _maximum(scatter, start, held, LEAST * start)
 
 
-def settled(scatter: Scatter, found: Components, held: np.ndarray) -> Components:
-    """The maximum with the same components to :data:`SETTLED`.
-
-    Args:
-        scatter: Residuals and components.
-        found: That to :data:`ROUGH`.
-        held: Channels, shape (C,) bool.
-    """
-    return found if found.left < SETTLED else _maximum(scatter, found.variance, found.free, held, found, SETTLED)
+def settled(scatter: Scatter, found: Components) -> Components:
+    """The maximum with the same components to :data:`SETTLED`, from that to :data:`ROUGH`."""
+    if found.left < SETTLED:
+        return found
+    return _maximum(scatter, found.variance, found.free, found.low, SETTLED)
 
 
 def one_more(
@@ -157,46 +153,43 @@ def one_more(
     """
     asked = asked_for(scatter, found, price)
     if not asked.clear:
-        found = settled(scatter, found, held)
+        found = settled(scatter, found)
         asked = asked_for(scatter, found, price)
     cost = np.broadcast_to(price, held.shape)
     cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, asked.normal)))
-    for k in dict.fromkeys(
-        (asked.first, cheapest)
-    ):  # what costs something does not stand in the way of what costs nothing
+    # What costs something does not stand in the way of what costs nothing.
+    for k in dict.fromkeys((asked.first, cheapest)):
         if asked.normal[k] > 0.0 and asked.plain[k] >= PLAIN:
-            more = with_one(scatter, found, k, float(asked.variance[k]), held)
+            more = with_one(scatter, found, k, float(asked.variance[k]))
             if needed(more, found, float(cost[k]), held):
                 return k, more
     return None
 
 
-def with_one(scatter: Scatter, found: Components, k: int, variance: float, held: np.ndarray) -> Components:
+def with_one(scatter: Scatter, found: Components, k: int, variance: float) -> Components:
     """The maximum with one more component, which begins at a variance."""
     start, free = found.variance.copy(), found.free.copy()
     start[k], free[k] = variance, True
-    return _maximum(scatter, start, free, held, found)
+    return _with_others(scatter, found, start, free)
 
 
-def without(scatter: Scatter, found: Components, out: np.ndarray, held: np.ndarray) -> Components:
+def without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
     """The maximum without some of its components, shape (C,) bool."""
-    return _maximum(scatter, np.where(out, 0.0, found.variance), found.free & ~out, held, found)
+    return _with_others(scatter, found, np.where(out, 0.0, found.variance), found.free & ~out)
 
 
 def roughly_without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
     """The same as :func:`without`, the columns' fit held: the likelihood there is a bound from below, and costs little."""
     V, free = covariances(scatter, found.at), found.free & ~out
-    M = moments(V, found.pull, found.kernel)
-    start = np.where(out, 0.0, found.variance)
-    wanted = best(scatter.blocks, scatter.stated, M, start, free, found.low)
+    bound = _bound(scatter, found.at, found)
+    wanted = bound.best(np.where(out, 0.0, found.variance), free, found.low)
     there = covariances(scatter, wanted)
     inverse = np.linalg.inv(there)
     left = np.einsum("nij,nj->ni", V, found.pull)
     pull = np.einsum("nij,nj->ni", inverse, left)
     kernel = inverse - inverse @ (V - V @ found.kernel @ V) @ inverse
-    lost = height(scatter.blocks, scatter.stated, M, found.at) - height(scatter.blocks, scatter.stated, M, wanted)
+    value = found.log_likelihood - (bound.height(found.at) - bound.height(wanted))
     nothing = np.zeros_like(found.covariance)
-    value = found.log_likelihood - lost
     return Components(free, wanted, nothing, value, pull, kernel, found.low, wanted, np.inf)
 
 
@@ -209,10 +202,8 @@ def highest(other: Scatter, scatter: Scatter, found: Components, of: np.ndarray)
         found: The maximum.
         of: Numbers of the components in the model, ascending.
     """
-    M = moments(covariances(scatter, found.at), found.pull, found.kernel)
-    free = np.ones(len(of), dtype=bool)
-    wanted = best(other.blocks, scatter.stated, M, found.variance[of], free, found.low[of])
-    return height(other.blocks, scatter.stated, M, wanted)
+    bound = replace(_bound(scatter, found.at, found), blocks=other.blocks)
+    return bound.height(bound.best(found.variance[of], np.ones(len(of), dtype=bool), found.low[of]))
 
 
 def needed(more: Components, fewer: Components, price: float, held: np.ndarray) -> bool:
@@ -230,17 +221,12 @@ def promised(scatter: Scatter, found: Components, of: Sequence[np.ndarray], star
         of: Which, shape (C,) bool each.
         start: Variances that further components begin at, shape (C,).
     """
-    M = moments(covariances(scatter, found.at), found.pull, found.kernel)
-
-    def bound(added: np.ndarray) -> float:
-        free = found.free | added
-        wanted = best(scatter.blocks, scatter.stated, M, np.where(added, start, found.variance), free, found.low)
-        return height(scatter.blocks, scatter.stated, M, wanted)
-
-    return np.array([bound(added) for added in of]) - height(scatter.blocks, scatter.stated, M, found.at)
+    bound = _bound(scatter, found.at, found)
+    wanted = [bound.best(np.where(more, start, found.variance), found.free | more, found.low) for more in of]
+    return np.array([bound.height(variances) for variances in wanted]) - bound.height(found.at)
 
 
-def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, held: np.ndarray) -> Components | None:
+def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int) -> Components | None:
     """The maximum with one component in place of several; None if it explains the residuals less well than these.
 
     Args:
@@ -248,21 +234,22 @@ def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int, he
         found: The maximum with the several.
         several: Which may go, shape (C,) bool.
         k: What may come.
-        held: Channels, shape (C,) bool.
     """
     start, free = np.where(several, 0.0, found.variance), found.free & ~several
     start[k], free[k] = found.variance[several & found.free].mean(), True
-    fewer = _maximum(scatter, start, free, held, found)
+    fewer = _with_others(scatter, found, start, free)
     return fewer if fewer.log_likelihood >= found.log_likelihood else None
 
 
+def _with_others(scatter: Scatter, found: Components, start: np.ndarray, free: np.ndarray) -> Components:
+    """The maximum with other components; the bound about the one that is there says where to look first."""
+    if (found.free != free).any():
+        start = _bound(scatter, found.at, found).best(start, free, found.low)
+    return _maximum(scatter, start, free, found.low)
+
+
 def _maximum(
-    scatter: Scatter,
-    theta: np.ndarray,
-    free: np.ndarray,
-    held: np.ndarray,
-    known: Components | None = None,
-    enough: float = ROUGH,
+    scatter: Scatter, theta: np.ndarray, free: np.ndarray, low: np.ndarray, enough: float = ROUGH
 ) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
@@ -272,19 +259,14 @@ def _maximum(
         scatter: Residuals and components.
         theta: Variances to begin with, shape (C,); 0 for those that are not in the model.
         free: Components in the model, shape (C,) bool.
-        held: Those of them whose variance may not vanish, shape (C,) bool.
-        known: The maximum with these components or with others, if there is one: that with others says where to look first.
+        low: Below which variances do not fall, shape (C,).
         enough: [nat] that the likelihood may be out by.
     """
-    low = np.where(held, LEAST * theta, 0.0) if known is None else known.low
-    if known is not None and (known.free != free).any():
-        theta = _bounded(scatter, known.at, known, theta, free, low)
     here, left, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
-        if moving.any():  # else nothing is left to scatter: exact data
-            step[moving] = _solve(information[np.ix_(moving, moving)], score[moving])
+        step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])  # of none, where data are exact
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))
@@ -301,7 +283,7 @@ def _maximum(
         ahead, gain = theta, 0.0
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
-    covariance[np.ix_(inside, inside)] = _solve(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
+    covariance[np.ix_(inside, inside)] = shortest(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
     return Components(free, ahead, covariance, here.log_likelihood + gain, here.pull, here.kernel, low, theta, left)
 
 
@@ -316,7 +298,7 @@ def _higher(
 ) -> tuple[np.ndarray, Place] | None:
     """Variances, and the place there, that are likelier than those of a place; None if the step's direction has none."""
     if promised > FAR:
-        wanted = _bounded(scatter, theta, here, theta, free, low)
+        wanted = _bound(scatter, theta, here).best(theta, free, low)
         there = place(scatter, wanted)
         if there.log_likelihood > here.log_likelihood:
             return wanted, there
@@ -329,12 +311,9 @@ def _higher(
     return None
 
 
-def _bounded(
-    scatter: Scatter, at: np.ndarray, here: Components | Place, start: np.ndarray, free: np.ndarray, low: np.ndarray
-) -> np.ndarray:
-    """Where the bound about a place (variances ``at``) is highest, sought from ``start``, shape (C,) each."""
-    M = moments(covariances(scatter, at), here.pull, here.kernel)
-    return best(scatter.blocks, scatter.stated, M, start, free, low)
+def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
+    """The bound about a place, of variances ``at``, shape (C,)."""
+    return Bound(scatter.blocks, scatter.stated, moments(covariances(scatter, at), here.pull, here.kernel))
 
 
 def boundary_chance(twice: float) -> float:
@@ -391,7 +370,7 @@ def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0
     half = found.kernel @ scatter.blocks
     flat = half.reshape(len(half), -1)
     information = 0.5 * flat @ half.transpose(0, 1, 3, 2).reshape(len(half), -1).T
-    share = _solve(information[np.ix_(free, free)], information[free])
+    share = shortest(information[np.ix_(free, free)], information[free])
     alone = np.diag(information) - np.einsum("fc,fc->c", share, information[free])
     each = contributions(scatter, found)
     own = each - share.T @ each[free]
@@ -403,14 +382,3 @@ def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0
     charged = np.sqrt(np.maximum(np.maximum(normal, 0.0) ** 2 - 2.0 * price, 0.0))
     normal = np.where(np.asarray(price) > 0.0, charged, normal)
     return Asked(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))
-
-
-IMITATED = 0.01
-"""Share of a component's information that must be its own: with less, those in the model imitate it."""
-
-
-def _solve(H: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """H^-1 b of balanced equations; the shortest solution where they are singular."""
-    even, scale = balanced(H)
-    wide = scale[:, None] * b.reshape(len(b), -1)
-    return np.asarray((scale[:, None] * (np.linalg.pinv(even, hermitian=True) @ wide)).reshape(b.shape))

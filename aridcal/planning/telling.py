@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.fit.elimination import Groups
 from aridcal.fit.identifiable import identifiable
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.instruments.channels import spread
 from aridcal.model.measured import rows_of_data
 from aridcal.planning.beforehand import Beforehand
@@ -88,7 +88,7 @@ def so_far(known: Beforehand, candidates: Candidates) -> tuple[np.ndarray, np.nd
     if not len(known.rows):
         return stated, np.zeros(len(stated))
     weight = np.sqrt(known.weight * known.rows.repeats.share)
-    columns, residual = _whitened(agreed(problem(known.model, known.rows), known.theta), known)
+    columns, residual = _whitened(problem(known.model, known.rows).agreeing(known.theta), known)
     flat = (columns * weight[:, None, None]).reshape(-1, columns.shape[2])
     left = (residual * weight[:, None]).ravel()
     return np.concatenate([flat, stated]), np.concatenate([left, np.zeros(len(stated))])

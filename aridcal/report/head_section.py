@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pinocchio as pin
 
 from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
-from aridcal.fit.closed_form import ClosedForm
 from aridcal.report.identified_section import length_or_angle
+from aridcal.result.closed_form import ClosedForm
 from aridcal.result.key_figures import scored
 from aridcal.result.measuring_head import HeadNumber, MeasuringHead
 from aridcal.result.outcome import Outcome, errors

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.fit.closed_form import ClosedForm, closed_form
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.stages import with_things_moved
 from aridcal.head.found import Detections
 from aridcal.inputs.dataset import Dataset, with_places
 from aridcal.instruments.camera import predict_pixels
 from aridcal.instruments.camera_sonar import HEAD, Head, Reduced, reduced, unpacked
+from aridcal.result.closed_form import ClosedForm, closed_form
 
 WILD = 4.0
 """Times the usual misfit beyond which a shot counts less in what is said of all: noise alone does not do that."""

@@ -17,10 +17,12 @@ from typing import NamedTuple
 import numpy as np
 
 from aridcal.errors import NotIdentifiable
-from aridcal.robot.doty import COMPONENTS, link_transform
+from aridcal.robot.chain import Robot
+from aridcal.robot.doty import COMPONENTS, doty_links, link_transform
 
 FRAME = ("x", "y", "z", "roll", "pitch", "yaw")
 JOINTS = ("joint_1", "joint_2", "joint_3", "joint_4")
+KINDS = ("prismatic", "revolute", "revolute", "revolute")
 
 PSI = tuple(f"{joint}.{component}" for component in ("beta", "alpha") for joint in JOINTS)
 """The unknowns of equation (3-12), in its order: beta_1..beta_4, alpha_1..alpha_4."""
@@ -367,6 +369,29 @@ def start(poses: np.ndarray, q: np.ndarray) -> np.ndarray:
     links[:3, A] = plane.lengths
     links[:, BETA], links[:, ALPHA] = psi.reshape(2, 4)
     return links
+
+
+def links_from_poses(robot: Robot, poses: np.ndarray, readings: np.ndarray) -> np.ndarray | None:
+    """:func:`start` for a robot of the ARID's build; None for others, and from poses that are too few or too much alike."""
+    if not is_arid(robot):
+        return None
+    try:
+        return start(poses, robot.positions(readings))
+    except NotIdentifiable:
+        return None
+
+
+def is_arid(robot: Robot) -> bool:
+    """A rail and three revolute joints, all parallel, frames as in Doty (1992)."""
+    if tuple(joint.kind for joint in robot.joints) != KINDS:
+        return False
+    along_z = all(np.allclose(joint.axis, [0, 0, 1]) for joint in robot.joints)
+    return along_z and not robot.climbs and all(np.allclose(step.rotation, np.eye(3)) for step in robot.onward[:-1])
+
+
+def link_table(robot: Robot) -> np.ndarray:
+    """``d theta beta a alpha`` of each link, shape (links, 5); d is the joint's own travel, so its offset is 0."""
+    return np.array([[0.0, link.theta, link.beta, link.a, link.alpha] for link in doty_links(robot)])
 
 
 def _moved(links: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ import numpy as np
 
 from aridcal.effects.loads import PAYLOAD, Payload, Surroundings, is_load
 from aridcal.fit.least_squares import PLENTY, Fit
+from aridcal.fit.noise import independent_share
 from aridcal.fit.normal_equations import RIDGE, accumulate, solve
-from aridcal.fit.place_noise import independent_share
 from aridcal.fit.problem import problem
 from aridcal.fit.question import DOWN, Question
 from aridcal.fit.residual import eliminated

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from aridcal.fit.flags import FLOOR
 from aridcal.fit.least_squares import Fit
 from aridcal.fit.normal_equations import TINY
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.fit.scatter import Scatter, conditioned, covariances, told_modes
 from aridcal.fit.standstills import Stack, representative, stack, standstills, with_things
 from aridcal.fit.variance_components import (
@@ -261,7 +261,7 @@ class _Inquiry:
             while (better := likeliest(nearby(shape, step, self.seen)))[0] > height + SETTLED:
                 height, shape = better
         again = self.with_shape(k, shape)
-        return again, with_one(again.scatter, found, k, float(found.variance[k]), self.held)
+        return again, with_one(again.scatter, found, k, float(found.variance[k]))
 
     def _height_with(self, found: Components, k: int, shape: Shape) -> float:
         """The bound about a maximum where a cause has another shape, what this costs taken off."""
@@ -275,7 +275,7 @@ class _Inquiry:
         """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
         share = self._repeated(found, k)
         if 1.0 / UNSURE < share < UNSURE:
-            found = settled(self.scatter, found, self.held)
+            found = settled(self.scatter, found)
             share = self._repeated(found, k)
         return share > 1.0, found
 
@@ -331,7 +331,7 @@ def noise_causes(
         if ties is not None:
             break
         structured &= found.free
-    found = settled(inquiry.scatter, found, held)
+    found = settled(inquiry.scatter, found)
     return _told(inquiry, found, structured, ties or {}, asked, fit.theta)
 
 
@@ -369,7 +369,7 @@ def _named(
         progress.part(int(found.free.sum()), len(held), "causes")
         if (found.free & single).sum() > 1 and (alike & ~found.free).any():
             # One number in place of several, if it says as much.
-            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)), held)
+            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)))
             k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
         inquiry, found = inquiry.refined(found, k)
         # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
@@ -398,14 +398,12 @@ def _challenged(
         cost = float(price[own].sum())
         base = roughly_without(scatter, found, own)
         if found.log_likelihood - base.log_likelihood - cost < WEAK:
-            base = without(scatter, found, own, held)
+            base = without(scatter, found, own)
             if not needed(found, base, cost, held):
                 return inquiry, base, None
         worth = found.log_likelihood - cost
         again = inquiry.aimed(base)
-        tried = [
-            (k, with_one(again.scatter, base, k, variance, held)) for k, variance in _likeliest(again, base, own, worth)
-        ]
+        tried = [(k, with_one(again.scatter, base, k, variance)) for k, variance in _likeliest(again, base, own, worth)]
         gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
         if gains and max(gains) > 0.0:
             k, more = tried[int(np.argmax(gains))]
@@ -435,7 +433,7 @@ def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: floa
 
 def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
     """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
-    here = agreed(part, fit.theta)
+    here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
     y, J, B = map(_together, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
     index = {name: k for k, name in enumerate(fit.model.names)}

@@ -18,7 +18,7 @@ import numpy as np
 
 from aridcal.fit.elimination import Eliminated, Groups, Known, Sums, solved
 from aridcal.fit.least_squares import Fit, thin
-from aridcal.fit.problem import Problem, agreed, problem
+from aridcal.fit.problem import Problem, problem
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, spread
 from aridcal.showing import SILENT, Progress
@@ -114,7 +114,7 @@ def _asked(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.n
     chosen = thin(every.rows, most, every.groups)
     chosen = chosen[fit.weight[chosen] > 0.0]
     some = every if len(chosen) == len(every) else every.select(chosen)
-    return chosen, agreed(problem(fit.model, some.data, progress) if data.direct else some, fit.theta)
+    return chosen, (problem(fit.model, some.data, progress) if data.direct else some).agreeing(fit.theta)
 
 
 def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: Progress = SILENT) -> Columns:

@@ -14,7 +14,7 @@ import pinocchio as pin
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, Coefficient
 from aridcal.errors import CampaignError
 from aridcal.fit.problem import problem
-from aridcal.fit.thing_starts import beginning
+from aridcal.fit.thing_starts import NominalRows, beginning
 from aridcal.inputs.campaign import Frames as FrameChoice
 from aridcal.inputs.campaign import placed
 from aridcal.inputs.dataset import Dataset
@@ -164,7 +164,8 @@ def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> 
     held = {k: frame for k, (label, frame) in enumerate(model.tip_target) if ("tip_target", label) not in new}
     hints = {k: frame for k, (_, frame) in enumerate(model.tip_target)}
     one = np.zeros(len(rows), dtype=int)  # the base stands in one place for all new rows, or is in R and p already
-    found = beginning(rows, seen, R, p, number, hints, held, one, None if anywhere else pin.SE3.Identity())
+    world = None if anywhere else pin.SE3.Identity()
+    found = beginning(NominalRows(rows, seen, R, p, number, hints, held, one, world))
     return replace(
         model,
         world_base=((None, found.world_base[0]),) if anywhere else model.world_base,
