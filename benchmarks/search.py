@@ -28,7 +28,6 @@ from aridcal.search import (
     diagnose,
     evidence,
     exact,
-    exchange,
     forward,
     grids,
     hints,
@@ -138,11 +137,11 @@ def measure(campaign: Path) -> None:
         Kernel("_smooth", [evidence], smooth),
     ]
     stages = [
-        Kernel("score_all", [screening, ranking, stepwise], None),
+        Kernel("score_all", [screening, ranking, scoring], None),
         Kernel("score_without", [tidying, confounded], None),
-        Kernel("refine", [ranking, forward, stepwise], None),
+        Kernel("refine", [scoring, ranking, forward], None),
         Kernel("judge", [forward, tidying, stepwise], None),
-        Kernel("solve_state", [state, ranking, forward, exchange, diagnose], None),
+        Kernel("solve_state", [state, forward, diagnose], None),
         Kernel("best_steps", [ranking], None),
         Kernel("hinted", [hints, ranking, forward], None),
         Kernel("regrown", [stepwise], None),

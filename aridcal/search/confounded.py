@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from aridcal.effects.effect import Effect
 from aridcal.effects.regional_kind import is_of_labels
 from aridcal.search.evidence import Score
-from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.linear_model import Active
 from aridcal.search.ranking import in_place_of, is_small, rank
 from aridcal.search.screening import score_without
 from aridcal.search.state import State, without_effect
@@ -22,22 +22,21 @@ RANKED = 12
 
 
 def twins(
-    model: LinearModel, library: Sequence[Effect], state: State, progress: Progress = SILENT
+    state: State, library: Sequence[Effect], progress: Progress = SILENT
 ) -> tuple[tuple[tuple[Effect, Score], ...], ...]:
     """Each effect, and the candidates that would do about as well in its place; nothing where none are sought."""
-    small = is_small(model, library)
+    small = is_small(state.model, library)
     asked = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
     lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *asked]))
-    rough = score_without(model, lasting, state, asked, progress)
+    rough = score_without(state.model, lasting, state, asked, progress)
     return tuple(
-        _twins(model, library, state, a, rough[a.effect], progress) if a.effect in rough else () for a in state.active
+        _twins(state, library, a, rough[a.effect], progress) if a.effect in rough else () for a in state.active
     )
 
 
 def _twins(
-    model: LinearModel,
-    library: Sequence[Effect],
     state: State,
+    library: Sequence[Effect],
     mine: Active,
     rough: Mapping[Effect, Score],
     progress: Progress,
@@ -45,17 +44,16 @@ def _twins(
     """One of the effects, and candidates that would do about as well in its place.
 
     Args:
-        model: The linearised model.
         library: Candidates.
         state: The model with it.
         mine: The effect.
         rough: Scores of candidates without it.
         progress: Told how many are scored.
     """
-    without = without_effect(model, state, mine.effect)
-    rivals = in_place_of(model, library, mine.effect)
-    also = [mine.effect, *mirrored(model, mine.effect)]
-    ranked = rank(model, rivals, without, also=also, progress=progress, known=rough)
+    without = without_effect(state, mine.effect)
+    rivals = in_place_of(state, library, mine.effect)
+    also = [mine.effect, *mirrored(state.model.table, mine.effect)]
+    ranked = rank(without, rivals, also=also, progress=progress, known=rough)
     own = next((s for e, s in ranked if e == mine.effect), None)
     if own is None:
         return ()

@@ -10,7 +10,6 @@ from aridcal.effects.effect import Effect
 from aridcal.effects.regional_kind import is_field
 from aridcal.search.evidence import Score
 from aridcal.search.hints import hinted
-from aridcal.search.linear_model import LinearModel
 from aridcal.search.ranking import rank, with_effect
 from aridcal.search.scoring import ALPHA, Judgement, judge, refine
 from aridcal.search.sets import Choices
@@ -23,54 +22,42 @@ JUDGED = 4
 
 
 def grown(
-    model: LinearModel,
-    library: Sequence[Effect],
-    state: State,
-    most: int,
-    small: bool,
-    choices: Choices,
-    progress: Progress,
+    state: State, choices: Choices, most: int, small: bool, progress: Progress
 ) -> tuple[State, tuple[Judgement, ...]]:
     """A model with the candidates that pass, up to so many effects; and those that were judged last and did not.
 
     Args:
-        model: The linearised model.
-        library: Candidates.
         state: The model as it is.
+        choices: The candidates.
         most: Effects of the model at the most.
         small: Whether all is tried again after each step.
-        choices: What is chosen among.
         progress: Told how many candidates are scored.
     """
-    rejected: tuple[Judgement, ...] = ()
-    seen = {frozenset(a.effect for a in state.active)}
-    kinds = {e.kind for e in library}
+    rejected: list[Judgement] = []
+    sets = {frozenset(state.effects)}
+    kinds = {e.kind for e in choices.library}
     while len(state.active) < most:
-        before = state
-        state, hints = _with_rows_of_hints(model, state, kinds)
-        ranked = rank(model, library, state, also=hints, progress=progress)
-        judgements, chosen = [], None
-        for effect, found in _worth_judging(model, state, ranked, choices):
-            judgement = judge(model, state, effect, found, choices)
+        with_rows, hints = _with_rows_of_hints(state, kinds)
+        ranked = rank(with_rows, choices.library, also=hints, progress=progress)
+        rejected = []
+        for effect, score in _worth_judging(with_rows, ranked, choices):
+            judgement = judge(with_rows, effect, score, choices)
             if not judgement.why:
-                chosen = with_effect(model, state, effect, found)
                 break
-            judgements.append(judgement)
-        rejected = tuple(judgements)
-        if chosen is None:
-            state = before
+            rejected.append(judgement)
+        else:
             break
-        state = chosen
+        state = with_effect(with_rows, effect, score)
         if small and len(state.active) > 1:
-            state = tidied(model, library, state, 1, choices, progress)
-        if frozenset(a.effect for a in state.active) in seen:
+            state = tidied(state, choices, 1, progress)
+        if frozenset(state.effects) in sets:
             break  # what is added is taken out again: this goes round in circles
-        seen.add(frozenset(a.effect for a in state.active))
-    return state, rejected
+        sets.add(frozenset(state.effects))
+    return state, tuple(rejected)
 
 
 def _worth_judging(
-    model: LinearModel, state: State, ranked: Sequence[tuple[Effect, Score]], choices: Choices
+    state: State, ranked: Sequence[tuple[Effect, Score]], choices: Choices
 ) -> Iterator[tuple[Effect, Score]]:
     """The best candidates, as long as chance does not explain them, and the best of families of which several are found."""
     for effect, found in ranked[:JUDGED]:
@@ -80,16 +67,16 @@ def _worth_judging(
     expected = [(e, s) for e, s in ranked if s.gain > 0.0 and choices.siblings(state.active, e)]
     for effect, found in expected[:JUDGED]:
         if found.p_value * choices.siblings(state.active, effect) < 1.0:
-            yield effect, refine(model, state, effect, found)
+            yield effect, refine(state, effect, found)
 
 
-def _with_rows_of_hints(model: LinearModel, state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
+def _with_rows_of_hints(state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
     """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by. And the hints."""
-    used, hints = state.used.copy(), hinted(model, state, kinds)
+    used, hints = state.used.copy(), hinted(state, kinds)
     for effect in hints:
         if effect.smooth or is_field(effect):
-            used |= np.any(model.columns(effect), axis=(1, 2))
+            used |= np.any(state.model.columns(effect), axis=(1, 2))
     if np.array_equal(used, state.used):
         return state, hints
-    state = solve_state(model, state.active, state.solution.sigma, used, True)
-    return state, hinted(model, state, kinds)
+    state = solve_state(state.model, state.active, state.solution.sigma, used, fixed=True)
+    return state, hinted(state, kinds)

@@ -102,7 +102,9 @@ class State:
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
         AA, Ar = _assembled(self.model.products, self.members, together=False)
-        return AA - self.unused_products(self.extra, self.extra), Ar - self.unused_products(self.extra, self.right_of_unused)
+        return AA - self.unused_products(self.extra, self.extra), Ar - self.unused_products(
+            self.extra, self.right_of_unused
+        )
 
     def unused_products(self, X: Sequence[np.ndarray], Y: Sequence[np.ndarray]) -> np.ndarray:
         """X'Y over the rows not in use of each of F folds, shape (F, C, ...), from arrays of these rows for each channel."""
@@ -147,6 +149,15 @@ class State:
             for values, x, own in zip(fitted, made.columns(effect), numbers, strict=True):
                 values += x[own] @ taken
         return fitted
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects alone."""
+        return tuple(a.effect for a in self.active)
+
+    def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
+        """Another set of effects in the same model, from the rows and the noise of this one; see :func:`solve_state`."""
+        return solve_state(self.model, active, self.solution.sigma if sigma is None else sigma, self.used, fixed)
 
     @property
     def sigma(self) -> np.ndarray:
@@ -289,7 +300,7 @@ def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndar
     return H, np.einsum("c,fci->fi", weight, np.concatenate([Ar, pull], axis=2))
 
 
-def without_effect(model: LinearModel, state: State, effect: Effect) -> State:
+def without_effect(state: State, effect: Effect) -> State:
     r"""The model without one of its effects, solved on the same rows.
 
     The noise to begin with is the one that the coefficients leave without it at the noise that they had with it, which needs no
@@ -306,7 +317,7 @@ def without_effect(model: LinearModel, state: State, effect: Effect) -> State:
     fewer = np.einsum("ij,cij->c", solve_equations(out[gone], out.T, ridge=RIDGE).T, equations.AA @ out)
     left = equations.squares_left(conditional(V, before.beta, gone))
     sigma = noise_left(equations, left, before.spent - fewer / before.sigma**2)
-    return solve_state(model, [a for a in state.active if a.effect != effect], sigma, state.used, fixed=True)
+    return state.with_active([a for a in state.active if a.effect != effect], sigma, fixed=True)
 
 
 def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
@@ -318,13 +329,12 @@ def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.
     return np.asarray(left)
 
 
-def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> Active:
+def activate(state: State, effect: Effect, found: Score) -> Active:
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
-        return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
-    noise = noise_with(state, found)
-    chunk, own = model.products.chunk_of(effect)
-    gram = np.tensordot(noise**-2.0, chunk.of_one(own), 1)
+        return Active(effect, found, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
+    chunk, own = state.model.products.chunk_of(effect)
+    gram = np.tensordot(noise_with(state, found) ** -2.0, chunk.of_one(own), 1)
     root = found.tau * samples_root(effect.shape, found.kernel)
     told, modes = np.linalg.eigh(root.T @ gram @ root)
     return Active(effect, found, root @ modes[:, told > FAINT])

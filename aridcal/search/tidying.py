@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from aridcal.effects.effect import Effect
-from aridcal.search.linear_model import LinearModel
 from aridcal.search.ranking import in_place_of, rank, with_effect, with_flags
 from aridcal.search.scoring import judge
 from aridcal.search.screening import score_without
@@ -20,42 +16,39 @@ RIVALS = 6
 """Candidates that are compared with an effect, the best first: those whose noise is found apart."""
 
 
-def tidied(
-    model: LinearModel, library: Sequence[Effect], state: State, rounds: int, choices: Choices, progress: Progress
-) -> State:
+def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> State:
     """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place.
 
     Curves that stay are shaped anew beside all else.
     """
+    library = choices.library
     kinds = {e.kind for e in library}
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
-    also = [a.effect for a in state.active if a.effect.kind in kinds]
+    also = [e for e in state.effects if e.kind in kinds]
     known = {*library, *also} - {a.effect for a in state.active if a.stated}
     lasting = list(dict.fromkeys(e for e in (*library, *also) if e.at is None or e in also))
     for _ in range(rounds):
-        before = [a.effect for a in state.active]
-        rough = score_without(model, lasting, state, known, progress)
+        before = state.effects
+        rough = score_without(state.model, lasting, state, known, progress)
         for k, effect in enumerate(before):
-            if effect not in known or all(a.effect != effect for a in state.active):
+            if effect not in known or effect not in state.effects:
                 continue
-            without = without_effect(model, state, effect)
-            rivals = in_place_of(model, library, effect)
-            ranked = rank(model, rivals, without, {effect.kind}, also, progress, rough[effect])
+            without = without_effect(state, effect)
+            rivals = in_place_of(state, library, effect)
+            ranked = rank(without, rivals, {effect.kind}, also, progress, rough[effect])
             mine = next((s for e, s in ranked if e == effect), None)
             if mine is None:  # a map of the same joint, taken since, holds it
                 state = without
                 continue
-            worth = {
-                e: s.gain - choices.price(without.active, activate(model, without, e, s)) for e, s in ranked[:RIVALS]
-            }
+            worth = {e: s.gain - choices.price(without.active, activate(without, e, s)) for e, s in ranked[:RIVALS]}
             best, its = max(ranked[:RIVALS], key=lambda pair: worth[pair[0]])
-            own = mine.gain - choices.price(without.active, activate(model, without, effect, mine))
+            own = mine.gain - choices.price(without.active, activate(without, effect, mine))
             if best == effect or worth[best] < own + BETTER:
                 best, its = effect, mine
-            keep = not judge(model, without, best, its, choices).why
-            state = with_effect(model, without, best, its) if keep else with_flags(model, without)
+            keep = not judge(without, best, its, choices).why
+            state = with_effect(without, best, its) if keep else with_flags(without)
             if not keep or best != effect:
-                rough = score_without(model, lasting, state, known.intersection(before[k + 1 :]), progress)
-        if [a.effect for a in state.active] == before:
+                rough = score_without(state.model, lasting, state, known.intersection(before[k + 1 :]), progress)
+        if state.effects == before:
             break
-    return reshaped(model, state, lambda a: a.effect in known)
+    return reshaped(state, lambda a: a.effect in known)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,8 +13,8 @@ from aridcal.effects.labels import is_label
 from aridcal.effects.loads import is_load
 from aridcal.effects.sights import is_sight
 from aridcal.search.evidence import Score
-from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.state import State, activate, noise_with, solve_state, without_effect
+from aridcal.search.linear_model import Active
+from aridcal.search.state import State, activate, noise_with, without_effect
 
 SIMILAR = 0.7
 """Correlation over the rows from which the same motion over another covariate is a rival: below it half of what the one explains
@@ -38,21 +38,21 @@ class Tied:
     change: tuple[tuple[Coefficient, float], ...]
 
 
-def mirrored(model: LinearModel, mine: Effect) -> list[Effect]:
+def mirrored(table: Mapping[str, np.ndarray], mine: Effect) -> list[Effect]:
     """The same step or slope over each other column that goes with its covariate in these rows, a joint's reading perhaps."""
     first = mine.coefficients[0].basis
     if mine.smooth or first.form not in ("step", "linear") or len({c.basis for c in mine.coefficients}) > 1:
         return []
-    own = model.table[first.of[0]]
-    values = evaluate(first, model.table)
+    own = table[first.of[0]]
+    values = evaluate(first, table)
     found = []
-    for name, column in model.table.items():
+    for name, column in table.items():
         if name in first.of or is_load(name) or is_sight(name) or is_label(name) or np.ptp(column) == 0.0:
             continue
-        if name == ROW_ORDER and (first.form == "linear" or "time" in model.table):
+        if name == ROW_ORDER and (first.form == "linear" or "time" in table):
             continue  # the order of rows to come says nothing, and goes with the time
         basis = _over(name, column, values, first.form)
-        if abs(np.corrcoef(evaluate(basis, model.table), values)[0, 1]) > SIMILAR and not np.array_equal(column, own):
+        if abs(np.corrcoef(evaluate(basis, table), values)[0, 1]) > SIMILAR and not np.array_equal(column, own):
             moved = tuple(replace(c, basis=basis) for c in mine.coefficients)
             found.append(Effect(_kind(mine, name, first.form), mine.where, moved))
     return found
@@ -83,10 +83,7 @@ def _kind(mine: Effect, name: str, form: str) -> str:
 
 
 def tied(
-    model: LinearModel,
-    constants: Sequence[Coefficient],
-    state: State,
-    twins: Sequence[Sequence[tuple[Effect, Score]]],
+    state: State, constants: Sequence[Coefficient], twins: Sequence[Sequence[tuple[Effect, Score]]]
 ) -> tuple[Tied, ...]:
     r"""Weights of the rivals of each effect, and the model with each of them.
 
@@ -98,31 +95,26 @@ def tied(
     for rival k of the cause f (Hoeting et al. 1999, doi:10.1214/ss/1009212519; those far behind are left out: Occam's window).
 
     Args:
-        model: The linearised model.
-        constants: Its K constants.
         state: The model as it is.
+        constants: Its K constants.
         twins: For each effect itself, first, and its rivals; nothing where none were asked for.
     """
     return tuple(
         one
         for a, own in zip(state.active, twins, strict=True)
         if len(own) > 1 and not a.stated and not a.effect.smooth
-        for one in _tied(model, constants, state, a, own)
+        for one in _tied(state, constants, a, own)
     )
 
 
 def _tied(
-    model: LinearModel,
-    constants: Sequence[Coefficient],
-    state: State,
-    mine: Active,
-    twins: Sequence[tuple[Effect, Score]],
+    state: State, constants: Sequence[Coefficient], mine: Active, twins: Sequence[tuple[Effect, Score]]
 ) -> Iterator[Tied]:
     """The rivals of one effect."""
-    without, before = without_effect(model, state, mine.effect), _coefficients(state, constants)
+    without, before = without_effect(state, mine.effect), _coefficients(state, constants)
     for (effect, found), weight in zip(twins[1:], weights(twins)[1:], strict=True):
-        rival = activate(model, without, effect, found)
-        with_it = solve_state(model, (*without.active, rival), noise_with(without, found), state.used, fixed=True)
+        rival = activate(without, effect, found)
+        with_it = without.with_active((*without.active, rival), noise_with(without, found), fixed=True)
         after = _coefficients(with_it, constants)
         change = {c: after.get(c, 0.0) - before.get(c, 0.0) for c in (before | after)}
         yield Tied(effect, mine.effect, weight, tuple((c, value) for c, value in change.items() if value != 0.0))
