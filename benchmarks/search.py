@@ -28,7 +28,6 @@ from aridcal.search import (
     diagnose,
     evidence,
     exact,
-    forward,
     grids,
     hints,
     products,
@@ -36,8 +35,8 @@ from aridcal.search import (
     scoring,
     screening,
     state,
+    steps,
     stepwise,
-    tidying,
 )
 
 REPEATS = 20
@@ -138,12 +137,12 @@ def measure(campaign: Path) -> None:
     ]
     stages = [
         Kernel("score_all", [screening, ranking, scoring], None),
-        Kernel("score_without", [tidying, confounded], None),
-        Kernel("refine", [scoring, ranking, forward], None),
-        Kernel("judge", [forward, tidying, stepwise], None),
-        Kernel("solve_state", [state, forward, diagnose], None),
+        Kernel("score_without", [steps, confounded], None),
+        Kernel("refine", [scoring, ranking, steps], None),
+        Kernel("judge", [steps, stepwise], None),
+        Kernel("solve_state", [state, steps, diagnose], None),
         Kernel("best_steps", [ranking], None),
-        Kernel("hinted", [hints, ranking, forward], None),
+        Kernel("hinted", [hints, ranking, steps], None),
         Kernel("regrown", [stepwise], None),
         Kernel("missed", [diagnose], None),
         Kernel("refit", [exact, diagnose], None),

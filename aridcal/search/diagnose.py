@@ -20,7 +20,7 @@ from aridcal.fit.problem import problem
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.dataset import Dataset
 from aridcal.model.measured import rows_of_data
-from aridcal.search.confounded import twins
+from aridcal.search.confounded import Tied, tied, twins
 from aridcal.search.covariates import look
 from aridcal.search.exact import (
     FEWEST_PLACES,
@@ -42,7 +42,6 @@ from aridcal.search.shapes import reshaped
 from aridcal.search.state import State, activate, solve_state
 from aridcal.search.stated import tied_to_frames, with_declared, with_fields
 from aridcal.search.stepwise import Found, confirmed, exchanged, search
-from aridcal.search.tied import Tied, tied
 from aridcal.showing import SILENT, Progress
 
 ROUNDS = 6

@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.effects.effect import Effect
-from aridcal.search.forward import grown
 from aridcal.search.linear_model import Active
 from aridcal.search.ranking import rank, with_flags
 from aridcal.search.sets import Choices, evidence_of_set, family
 from aridcal.search.state import State, activate
-from aridcal.search.tidying import tidied
+from aridcal.search.steps import grown, tidied
 from aridcal.showing import Progress
 
 FEWEST = 4

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.effect import Effect
+from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.smooth import samples_root
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import RIDGE, NormalEquations, accumulate, conditional
@@ -158,6 +158,14 @@ class State:
     def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
         """Another set of effects in the same model, from the rows and the noise of this one; see :func:`solve_state`."""
         return solve_state(self.model, active, self.solution.sigma if sigma is None else sigma, self.used, fixed)
+
+    def coefficients(self, constants: Sequence[Coefficient]) -> dict[Coefficient, float]:
+        """The solution by its coefficients, the K constants first."""
+        first, *others = self.places
+        values = dict(zip(constants, self.solution.beta[first].tolist(), strict=True))
+        for a, own in zip(self.active, others, strict=True):
+            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[own]).tolist(), strict=True))
+        return values
 
     @property
     def sigma(self) -> np.ndarray:

@@ -7,12 +7,11 @@ from dataclasses import dataclass, replace
 
 from aridcal.effects.effect import Effect
 from aridcal.search.exchange import regrown
-from aridcal.search.forward import grown
 from aridcal.search.ranking import is_small, with_effect, with_flags
 from aridcal.search.scoring import Judgement, judge, score_of
 from aridcal.search.sets import Choices
 from aridcal.search.state import State, without_effect
-from aridcal.search.tidying import tidied
+from aridcal.search.steps import grown, tidied
 from aridcal.showing import SILENT, Progress
 
 MOST = 14

@@ -18,10 +18,10 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import things_again
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns
+from aridcal.search.confounded import Tied
 from aridcal.search.diagnose import Diagnosed
 from aridcal.search.noise_tests import Clue
 from aridcal.search.scoring import PARTS, held_back
-from aridcal.search.tied import Tied
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
