@@ -102,9 +102,9 @@ class State:
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
         AA, Ar = _assembled(self.model.products, self.members, together=False)
-        return AA - self.unused_products(self.extra, self.extra), Ar - self.unused_products(
-            self.extra, self.right_of_unused
-        )
+        AA -= self.unused_products(self.extra, self.extra)
+        Ar -= self.unused_products(self.extra, self.right_of_unused)
+        return AA, Ar
 
     def unused_products(self, X: Sequence[np.ndarray], Y: Sequence[np.ndarray]) -> np.ndarray:
         """X'Y over the rows not in use of each of F folds, shape (F, C, ...), from arrays of these rows for each channel."""
@@ -178,8 +178,7 @@ class State:
 
     def whitened(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """Arrays of the design's shape in sigmas, all channels under one another."""
-        scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
-        return np.concatenate(scaled)
+        return np.concatenate([part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)])
 
     def in_use(self, chunk: Chunk, where: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums of candidates' columns over the rows in use.
