@@ -28,8 +28,6 @@ from aridcal.search import (
     diagnose,
     evidence,
     exact,
-    exchange,
-    forward,
     grids,
     hints,
     products,
@@ -37,8 +35,8 @@ from aridcal.search import (
     scoring,
     screening,
     state,
+    steps,
     stepwise,
-    tidying,
 )
 
 REPEATS = 20
@@ -138,13 +136,13 @@ def measure(campaign: Path) -> None:
         Kernel("_smooth", [evidence], smooth),
     ]
     stages = [
-        Kernel("score_all", [screening, ranking, stepwise], None),
-        Kernel("score_without", [tidying, confounded], None),
-        Kernel("refine", [ranking, forward, stepwise], None),
-        Kernel("judge", [forward, tidying, stepwise], None),
-        Kernel("solve_state", [state, ranking, forward, exchange, diagnose], None),
+        Kernel("score_all", [screening, ranking, scoring], None),
+        Kernel("score_without", [steps, confounded], None),
+        Kernel("refine", [scoring, ranking, steps], None),
+        Kernel("judge", [steps, stepwise], None),
+        Kernel("solve_state", [state, steps, diagnose], None),
         Kernel("best_steps", [ranking], None),
-        Kernel("hinted", [hints, ranking, forward], None),
+        Kernel("hinted", [hints, ranking, steps], None),
         Kernel("regrown", [stepwise], None),
         Kernel("missed", [diagnose], None),
         Kernel("refit", [exact, diagnose], None),

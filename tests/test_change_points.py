@@ -24,7 +24,7 @@ from aridcal.search.change_points import (
 )
 from aridcal.search.evidence import NOTHING
 from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import DOUBT, judge, refine
+from aridcal.search.scoring import DOUBT, judge, score_of
 from aridcal.search.screening import score_all
 from aridcal.search.sets import Choices
 from aridcal.search.state import State, activate, solve_state
@@ -74,7 +74,7 @@ def template(where: str, of: str = ROW_ORDER) -> Effect:
 def chance_of_a_walk(model: LinearModel, where: str) -> float:
     state = solved(model)
     (effect,) = best_steps(model, state, [template(where)])
-    return walk_instead(model, state, activate(model, state, effect, NOTHING))
+    return walk_instead(model, state, activate(state, effect, NOTHING))
 
 
 @pytest.mark.parametrize("of", [ROW_ORDER, "time"])
@@ -107,17 +107,15 @@ def test_a_step_passes_every_gate_at_its_row_and_noise_none() -> None:
     model = with_motion(made_up(2), 3, 2.0 * (late - 1.0))
     state = solved(model)
     (effect,) = best_steps(model, state, [template("j1")])
-    judgement = judge(
-        model, state, effect, refine(model, state, effect, score_all(model, [effect], state)[0]), Choices.of([], 100)
-    )
+    judgement = judge(state, effect, score_of(state, effect), Choices.of([], 100))
     assert judgement.why == ""
     assert effect.coefficients[0].basis.numbers[0] == pytest.approx(41.5, abs=2.0)
     for seed in range(20):
         model = made_up(100 + seed)
         state = solved(model)
         for effect in best_steps(model, state, [template("j1"), template("world_base")]):
-            found = refine(model, state, effect, score_all(model, [effect], state)[0])
-            assert "not significant" in judge(model, state, effect, found, Choices.of([], 100)).why
+            found = score_of(state, effect)
+            assert "not significant" in judge(state, effect, found, Choices.of([], 100)).why
 
 
 def test_the_best_of_all_rows_pays_for_all_of_them() -> None:
@@ -125,8 +123,8 @@ def test_the_best_of_all_rows_pays_for_all_of_them() -> None:
     model = made_up(3)
     state = solved(model)
     (effect,) = best_steps(model, state, [template("j1")])
-    found = refine(model, state, effect, score_all(model, [effect], state)[0])
-    assert judge(model, state, effect, found, Choices.of([], 1)).p_value == pytest.approx(
+    found = score_of(state, effect)
+    assert judge(state, effect, found, Choices.of([], 1)).p_value == pytest.approx(
         min(1.0, found.p_value * (1 + 300 * 3))
     )
 

@@ -149,7 +149,7 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
     state = solve_state(model, (), np.ones(len(channels)), np.ones(n, dtype=bool))
     assert state.used.all()
     rough = score_all(model, [effect], state)[0]
-    found = refine(model, state, effect, rough)
+    found = refine(state, effect, rough)
 
     both = np.concatenate([A, G * warmth[:, None, None]], axis=2)
     r, twice = model.r, 0.0
@@ -165,7 +165,7 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
     price = 0.5 * (1.0 + np.log(twice))
     assert found.gain == pytest.approx(0.5 * twice - price, rel=0.02)
     assert rough.gain == pytest.approx(found.gain, rel=0.15)
-    active = activate(model, state, effect, found)
+    active = activate(state, effect, found)
     solution = solve_state(model, (active,), state.solution.sigma, state.used).solution
     np.testing.assert_allclose(solution.beta, theta, rtol=1e-3)
     assert abs(theta[3] - 0.6) < 3 * np.sqrt(solution.inverse[3, 3])

@@ -17,8 +17,7 @@ from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.search.evidence import Score
 from aridcal.search.hints import harmonics, pairs
 from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import Judgement, judge, refine
-from aridcal.search.screening import score_all
+from aridcal.search.scoring import Judgement, judge, score_of
 from aridcal.search.sets import Choices
 from aridcal.search.state import FAINT, activate, solve_state
 
@@ -69,14 +68,14 @@ def linear(where: str, component: str, of: str) -> Effect:
 
 def judged(b: LinearModel, effect: Effect, tested: int) -> Judgement:
     s = state(b)
-    return judge(b, s, effect, refine(b, s, effect, score_all(b, [effect], s)[0]), Choices.of([], tested))
+    return judge(s, effect, score_of(s, effect), Choices.of([], tested))
 
 
 @pytest.mark.parametrize("order", [3.0, 17.3, 53.68])
 def test_a_harmonic_of_any_order_is_found_at_its_joint(order):
     b = made_up(np.random.default_rng(1))
     b = with_effect(b, 2, 0.6 * np.sin(order * b.table["j2"] + 0.3))
-    found = harmonics(b, state(b))
+    found = harmonics(state(b))
     assert found[0].where == "j2"
     assert found[0].order[0] == pytest.approx(order, abs=0.1)
 
@@ -84,7 +83,7 @@ def test_a_harmonic_of_any_order_is_found_at_its_joint(order):
 def test_a_function_of_two_covariates_is_found_where_it_acts():
     b = made_up(np.random.default_rng(2))
     b = with_effect(b, 1, 1.0 * b.table["j2"] * b.table["humidity"])
-    places, looked = pairs(b, state(b), ["j1", "j2", "time", "humidity"], ARID)
+    places, looked = pairs(state(b), ["j1", "j2", "time", "humidity"], ARID)
     assert places[0] == ("j1", "x", ("j2", "humidity"))
     assert looked == 6 * 2  # pairs times motions that are not a joint's own
 
@@ -136,13 +135,11 @@ def test_what_is_active_and_smooth_has_modes_of_unit_prior_and_the_rows_tell_not
     knots = tuple(Coefficient("j1", "axis", Basis("bump", ("j1",), (c, 0.5))) for c in np.arange(-3.0, 3.1, 0.5))
     curve = Effect("joint_map", "j1", knots, smooth=True)
     made = state(b)
-    active = activate(b, made, curve, Score(1.0, 0.0, 3, tau=0.2))
+    active = activate(made, curve, Score(1.0, 0.0, 3, tau=0.2))
     np.testing.assert_array_equal(active.precision, np.eye(active.modes.shape[1]))
     lacking = np.linalg.inv(active.coefficient_precision) - active.modes @ active.modes.T
     moved = (b.columns(curve) / made.sigma[:, None]).reshape(-1, len(knots))
     squares = np.linalg.eigvalsh(moved @ lacking @ moved.T)
     assert squares.min() > -1e-6 and squares.max() < 1.01 * FAINT
-    plain = activate(
-        b, state(b), Effect("joint_harmonic", "j1", turns("j1", "axis", "j1", 2.0), (2.0,)), Score(1.0, 0.0, 2)
-    )
+    plain = activate(made, Effect("joint_harmonic", "j1", turns("j1", "axis", "j1", 2.0), (2.0,)), Score(1.0, 0.0, 2))
     assert not plain.precision.any()

@@ -64,7 +64,7 @@ def test_the_size_of_the_scatter_is_the_likeliest_of_dense_covariances():
     bases = tuple(dict.fromkeys(c.basis for c in scatter.coefficients))
     model = replace(model, bases=bases, phi=np.column_stack([columns[basis.of[0]] for basis in bases]))
     state = solve_state(model, (), np.ones(2), np.ones(100, dtype=bool))
-    beside = with_scatter(model, state, (scatter,))
+    beside = with_scatter(state, (scatter,))
     assert has_scatter(beside)
     (found,) = (a.score.tau for a in beside.active)
     A = model.A.reshape(600, -1)

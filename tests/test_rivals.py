@@ -21,8 +21,8 @@ from aridcal.inputs.query import load_query
 from aridcal.result.compensate import compensate
 from aridcal.result.predict import predict, read_query
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.search.confounded import weights
 from aridcal.search.evidence import Score
-from aridcal.search.tied import weights
 from aridcal.trust.rivals import Rival
 from aridcal.upkeep.checking import check
 from aridcal.upkeep.repair import repaired

@@ -37,7 +37,7 @@ def solved(prepared: bool = True) -> State:
     used = np.ones(len(b.r), dtype=bool)
     used[rng.choice(len(used), 9, replace=False)] = False
     start = solve_state(b, (), np.ones(2), used, fixed=True)
-    active = [activate(b, start, CURVE, Score(1.0, 0.0, 3, tau=0.5)), activate(b, start, WAVE, Score(1.0, 0.0, 2))]
+    active = [activate(start, CURVE, Score(1.0, 0.0, 3, tau=0.5)), activate(start, WAVE, Score(1.0, 0.0, 2))]
     return solve_state(b, active, np.ones(2), used, fixed=True)
 
 
@@ -61,8 +61,8 @@ def test_equations_put_together_from_those_of_the_set_before_are_those_of_the_co
     """Whatever came, went, changed places or was shaped anew."""
     made = solved()
     curve, wave = made.active
-    other = activate(made.model, made, CURVE, Score(1.0, 0.0, 3, tau=0.01))
-    warm = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
+    other = activate(made, CURVE, Score(1.0, 0.0, 3, tau=0.01))
+    warm = activate(made, WARM, Score(1.0, 0.0, 1))
     assert other.modes.shape != curve.modes.shape
     for active in (
         [wave, curve],
@@ -82,7 +82,7 @@ def test_equations_put_together_from_those_of_the_set_before_are_those_of_the_co
 
 def test_sums_of_each_fold_are_those_of_its_columns():
     made = solved()
-    candidate = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
+    candidate = activate(made, WARM, Score(1.0, 0.0, 1))
     H, g = by_fold(made, candidate, made.solution.sigma)
     X, r, fold = columns_of(made, candidate)
     for k, number in enumerate(np.unique(made.model.fold)):
@@ -98,9 +98,9 @@ def test_what_was_found_of_a_state_is_not_found_again_and_is_no_other_states():
     assert again[1] is first[0]
     assert score_all(other.model, [WARM], other)[0] is not first[0]
     assert again[0].gain == pytest.approx(score_all(other.model, [linear("j1", "axis", "humidity")], other)[0].gain)
-    fine = refine(made.model, made, WARM, first[0])
-    assert refine(made.model, made, WARM, first[0]) is fine
-    assert refine(made.model, made, WARM, replace(first[0], gain=0.0)) is not fine  # of another rough score
+    fine = refine(made, WARM, first[0])
+    assert refine(made, WARM, first[0]) is fine
+    assert refine(made, WARM, replace(first[0], gain=0.0)) is not fine  # of another rough score
     assert score_all(made.model, [WARM], replace(made, used=~made.used))[0] is not first[0]
 
 
@@ -172,7 +172,7 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
         monkeypatch.setattr(products, "GRID", least)
         made = solved()
         b = made.model.prepare([*candidates, *more])
-        taken = [activate(b, made, effect, Score(1.0, 0.0, 3, tau=0.3)) for effect in more]
+        taken = [activate(made, effect, Score(1.0, 0.0, 3, tau=0.3)) for effect in more]
         full = solve_state(b, [*made.active, *taken], np.ones(2), made.used, fixed=True)
         chunks = list(b.products.chunks(candidates))
         assert sum(chunk.grid is not None for chunk in chunks) == (2 if least == 4 else 0)
@@ -297,7 +297,7 @@ def test_ties_and_zeros_of_few_values_are_counted_too():
 def test_noise_without_an_effect_is_begun_where_one_solution_would_bring_it(gone, monkeypatch):
     made, begun = solved(), []
     monkeypatch.setattr(state, "solve", lambda e, p, sigma: begun.append(sigma) or solve(e, p, sigma))
-    other = without_effect(made.model, made, gone)
+    other = without_effect(made, gone)
     rest = [a for a in made.active if a.effect != gone]
     monkeypatch.undo()
     slowly = solve_state(made.model, rest, made.solution.sigma, made.used, fixed=True)
@@ -313,8 +313,8 @@ def test_noise_without_an_effect_is_begun_where_one_solution_would_bring_it(gone
 
 def test_a_model_with_a_candidate_is_the_one_solved_from_any_noise():
     made = solved()
-    candidate = activate(made.model, made, WARM, Score(1.0, 0.0, 1))
-    sigma = refine(made.model, made, WARM, Score(1.0, 0.0, 1)).sigma
+    candidate = activate(made, WARM, Score(1.0, 0.0, 1))
+    sigma = refine(made, WARM, Score(1.0, 0.0, 1)).sigma
     both = [
         solve_state(made.model, (*made.active, candidate), start, made.used, True) for start in (sigma, 9.0 * sigma)
     ]

@@ -97,9 +97,7 @@ def test_the_evidence_of_a_set_is_the_density_of_its_rows():
     evidence, density = [], []
     for some in ((), (first,), (first, second)):
         state = at_noise(solve_state(model, taken(*some), sigma, every, fixed=True), sigma)
-        evidence.append(
-            evidence_of_set(model, state, choices, every) + choices.cost(state.active) + PLAIN_PRICE * len(some)
-        )
+        evidence.append(evidence_of_set(state, choices, every) + choices.cost(state.active) + PLAIN_PRICE * len(some))
         K = model.A.shape[2]
         covariance = np.diag(np.tile(np.repeat(sigma**2, 3), 40))
         A = model.A.reshape(-1, K)
@@ -126,10 +124,10 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
     mine, other = a_set(3), a_set(curves)
     monkeypatch.setattr(exchange, "_further_away", lambda *_: iter(()))
     monkeypatch.setattr(exchange, "_of_families", lambda *_: other)
-    monkeypatch.setattr(exchange, "grown", lambda model, library, state, *_: (state, ()))
-    monkeypatch.setattr(exchange, "tidied", lambda model, library, state, *_: state)
-    monkeypatch.setattr(exchange, "evidence_of_set", lambda model, state, *_: more if state is other else 0.0)
-    found = exchange.regrown(None, [], mine, None, SILENT)  # type: ignore[arg-type]
+    monkeypatch.setattr(exchange, "grown", lambda state, *_: (state, ()))
+    monkeypatch.setattr(exchange, "tidied", lambda state, *_: state)
+    monkeypatch.setattr(exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
+    found = exchange.regrown(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
     assert found is (other if taken else mine)
 
 

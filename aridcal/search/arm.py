@@ -84,12 +84,7 @@ class CalibratedArm:
 
 
 def calibrated_arm(
-    question: Question,
-    robot: Robot,
-    rows: Dataset,
-    labels: tuple[str, ...],
-    geometry: Geometry,
-    progress: Progress,
+    question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...], geometry: Geometry, progress: Progress
 ) -> CalibratedArm:
     """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
 
@@ -105,8 +100,11 @@ def calibrated_arm(
     def fitted(data: Dataset, geometry: Geometry, before: Diagnosed | None = None) -> CalibratedArm:
         arm = fit_arm(question, geometry, data, progress, before)
         progress("asking what the scatter is made of")
-        active = arm.diagnosed.found.state.active
-        return replace(arm, causes=noise_causes(arm.diagnosed.fit, active, rows, progress, shapes=False))
+        return replace(arm, causes=_causes(arm, rows, progress, shapes=False))
+
+    def weighed_anew(data: Dataset) -> Geometry:
+        anew = fit_constants(question, robot, data, labels, progress)
+        return _around(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
     for _ in range(WEIGHED if bodies == 1 else 0):
@@ -115,43 +113,45 @@ def calibrated_arm(
             break
         progress("weighing rows of one place by how alike they err, and looking again")
         rows = rows.with_repeats(share=share)
-        geometry = _around(fit_constants(question, robot, rows, labels, progress), geometry.geometric.model.around)
+        geometry = weighed_anew(rows)
         arm = fitted(rows, geometry, arm.diagnosed)
-    hung = _hung_again(arm)
-    if hung is not None:
+    if (elsewhere := _hung_again(arm)) is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
-        geometry = hung
+        geometry = elsewhere
         arm = fitted(rows, geometry, arm.diagnosed)
     moved = with_things_moved(arm.geometry.geometric, arm.diagnosed.fit)
     if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
         progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
         rows = with_stated_noise(rows, moved.states)
-        geometry = _around(fit_constants(question, robot, rows, labels, progress), geometry.geometric.model.around)
+        geometry = weighed_anew(rows)
         arm = fitted(rows, geometry, arm.diagnosed)
     if arm.causes is not None and arm.causes.relative is not None:
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
-        around = geometry.geometric.model.around
-        again = _around(fit_constants(question, robot, weighed, labels, progress), around)
-        arm = fitted(weighed, again, arm.diagnosed)
+        arm = fitted(weighed, weighed_anew(weighed), arm.diagnosed)
     if arm.diagnosed.found.state.active and not is_better(arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted):
         progress("constants alone predict held-back rows as well: leaving the effects out")
         arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
-        arm = replace(arm, causes=noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress))
+        arm = replace(arm, causes=_causes(arm, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
     return _nominal(question, arm, progress)
 
 
+def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
+    """What the scatter of a fitted arm is made of; see :func:`noise_causes`."""
+    return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
+
+
 def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
     """What the scatter is made of, asked of all causes; in the figures of the weights where these name the same."""
-    found, weighed = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress), arm.causes
-    if found is None or weighed is None:
+    every, weighed = _causes(arm, rows, progress), arm.causes
+    if every is None or weighed is None:
         return weighed
-    names, before = ([(c.kind, c.name) for c in own.causes] for own in (found, weighed))
-    if names != before or found.structured != weighed.structured:
-        return found
-    pairs = zip(weighed.causes, found.causes, strict=True)
+    names, before = ([(c.kind, c.name) for c in own.causes] for own in (every, weighed))
+    if names != before or every.structured != weighed.structured:
+        return every
+    pairs = zip(weighed.causes, every.causes, strict=True)
     return replace(weighed, causes=tuple(replace(own, rivals=other.rivals) for own, other in pairs))
 
 
@@ -188,27 +188,22 @@ def _nominal(question: Question, arm: CalibratedArm, progress: Progress) -> Cali
     kept = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, kept, free), rows, progress)
-    causes = noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress)
-    return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=causes)
+    return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
 
 
 def fit_constants(
     question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
 ) -> Geometry:
     """Frames and constants from the training rows, the frames at their identified place."""
-    found = fit_geometry(question, robot, rows.fitted, labels, progress)
-    geometric = recentred(found.geometric)
+    geometry = fit_geometry(question, robot, rows.fitted, labels, progress)
+    geometric = recentred(geometry.geometric)
     around = surroundings(question, geometric.model, bool(question.payloads) or PAYLOAD in rows.covariates)
     around = replace(around, sights=sights_of(geometric.model, rows.fitted))
-    return replace(found, geometric=replace(geometric, model=replace(geometric.model, around=around)))
+    return _around(replace(geometry, geometric=geometric), around)
 
 
 def fit_arm(
-    question: Question,
-    geometry: Geometry,
-    rows: Dataset,
-    progress: Progress,
-    before: Diagnosed | None = None,
+    question: Question, geometry: Geometry, rows: Dataset, progress: Progress, before: Diagnosed | None = None
 ) -> CalibratedArm:
     """Look for what the constants do not explain, on the training rows, and fit all together.
 
@@ -220,8 +215,8 @@ def fit_arm(
         before: An earlier search, on other weights.
     """
     fit = geometry.geometric
-    found = diagnose(question.without_search() if is_short(fit) else question, fit, rows.fitted, progress, before)
-    return CalibratedArm(rows, geometry, found)
+    asked = question.without_search() if is_short(fit) else question
+    return CalibratedArm(rows, geometry, diagnose(asked, fit, rows.fitted, progress, before))
 
 
 def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings:
@@ -299,21 +294,22 @@ def structured_notices(causes: NoiseCauses | None) -> list[str]:
         "curve or play that the model lacks, and no noise"
     )
     looks = {
-        "joint": misread,
-        "joints": misread,
-        "range": "the {} error grows with the distance from the origin of the world frame, but comes back at neighbouring "
-        "rows: it is no noise",
-        "sight": "the {} error is about the line of sight, but comes back at neighbouring rows: it is no noise",
-        "direction": "the {} error lies along one direction of the world, but comes back at neighbouring rows: it is no noise",
-        "depth": "the {} error lies along lines of sight, but comes back at neighbouring rows: it is no noise",
-        "bearing": "the {} error lies across lines of sight, but comes back at neighbouring rows: it is no noise",
-        "own_axis": "the {} error lies along axes of the target, but comes back at neighbouring rows: it is no noise",
-        "lever": "the {} error is that of the rotation on a lever, but comes back at neighbouring rows: it is no noise",
-        "length": "the {} error grows with the length that is read, but comes back at neighbouring rows: it is no noise",
-        "repeatability": "the {} error is larger than the rows state and the same in all of them, but comes back at "
-        "neighbouring rows: it is no noise",
+        "range": "grows with the distance from the origin of the world frame",
+        "sight": "is about the line of sight",
+        "direction": "lies along one direction of the world",
+        "depth": "lies along lines of sight",
+        "bearing": "lies across lines of sight",
+        "own_axis": "lies along axes of the target",
+        "lever": "is that of the rotation on a lever",
+        "length": "grows with the length that is read",
+        "repeatability": "is larger than the rows state and the same in all of them",
     }
     if causes is None:
         return []
-    said = [looks[kind].format(name) for kind, name in causes.structured]
-    return [*said, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else said
+    notices = [
+        misread.format(name)
+        if kind in ("joint", "joints")
+        else f"the {name} error {looks[kind]}, but comes back at neighbouring rows: it is no noise"
+        for kind, name in causes.structured
+    ]
+    return [*notices, WITNESSES.format(causes.shared)] if causes.shared > SEVERAL else notices

@@ -77,12 +77,8 @@ def _as_solved(start: Start, current: Fit, state: State) -> dict[str, float]:
     if state.model.A.shape[2] != len(constants):
         return {}
     before = dict(zip(start.geometric.model.names, start.geometric.theta.tolist(), strict=True))
-    ends = np.cumsum([len(constants), *(a.modes.shape[1] for a in state.active)])[:-1]
-    steps, *parts = np.split(state.solution.beta, ends)
-    found = {c.name: before.get(c.name, 0.0) + step for c, step in zip(constants, steps.tolist(), strict=True)}
-    for a, part in zip(state.active, parts, strict=True):
-        found |= dict(zip((c.name for c in a.effect.coefficients), (a.modes @ part).tolist(), strict=True))
-    return found
+    values = {c.name: value for c, value in state.coefficients(constants).items()}
+    return values | {c.name: before.get(c.name, 0.0) + values[c.name] for c in constants}
 
 
 def _constants(fit: Fit) -> tuple[Coefficient, ...]:

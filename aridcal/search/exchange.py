@@ -11,12 +11,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.effects.effect import Effect
-from aridcal.search.forward import grown
-from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.linear_model import Active
 from aridcal.search.ranking import rank, with_flags
 from aridcal.search.sets import Choices, evidence_of_set, family
-from aridcal.search.state import State, activate, solve_state
-from aridcal.search.tidying import tidied
+from aridcal.search.state import State, activate
+from aridcal.search.steps import grown, tidied
 from aridcal.showing import Progress
 
 FEWEST = 4
@@ -39,12 +38,10 @@ SURE = 3.0
 needs no more than the same: of two that are as likely the one that says more holds where nothing was measured."""
 
 
-def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices: Choices, progress: Progress) -> State:
+def regrown(state: State, choices: Choices, progress: Progress) -> State:
     """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
-        model: The linearised model.
-        library: Candidates.
         state: A set to which nothing can be added, and of which no single effect can be exchanged.
         choices: What is chosen among.
         progress: Told how many sets are tried.
@@ -53,15 +50,15 @@ def regrown(model: LinearModel, library: Sequence[Effect], state: State, choices
         return state
 
     def evidence(of: State) -> float:
-        return evidence_of_set(model, of, choices, state.used)
+        return evidence_of_set(of, choices, state.used)
 
     own, curves = evidence(state), _curves(state)
     best, value = state, own
-    begun = sorted(_further_away(model, library, state), key=evidence, reverse=True)
-    begun = [*begun[:TRIED], _of_families(model, library, state, evidence)]
+    begun = sorted(_further_away(state, choices.library), key=evidence, reverse=True)
+    begun = [*begun[:TRIED], _of_families(state, choices.library, evidence)]
     for trial in progress.over(begun, "sets of effects"):
-        trial = grown(model, library, trial, MOST_GROWN, False, choices, progress)[0]
-        trial = tidied(model, library, trial, 1, choices, progress)
+        trial = grown(trial, choices, MOST_GROWN, False, progress)[0]
+        trial = tidied(trial, choices, 1, progress)
         least = own if _curves(trial) < curves else own + SURE
         if (its := evidence(trial)) > max(value, least):
             best, value = trial, its
@@ -73,7 +70,7 @@ def _curves(state: State) -> int:
     return sum(a.effect.smooth for a in state.active)
 
 
-def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -> Iterator[State]:
+def _further_away(state: State, library: Sequence[Effect]) -> Iterator[State]:
     """Sets that differ from one by more than an effect."""
     mine = [a.effect for a in state.active if not a.stated]
     acting = {_acts(e) for e in mine}
@@ -81,23 +78,21 @@ def _further_away(model: LinearModel, library: Sequence[Effect], state: State) -
     for own in alike:
         members = [e for e in library if family(e) == own and e.at is None]
         places = {_acts(e) for e in members}
-        without = _without(model, state, [e for e in mine if family(e) == own or _acts(e) in places])
+        without = _without(state, [e for e in mine if family(e) == own or _acts(e) in places])
         for some in _of_orders(members):
-            everywhere = _everywhere(model, some, without)
+            everywhere = _everywhere(without, some)
             if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
                 yield everywhere
 
 
-def _of_families(
-    model: LinearModel, library: Sequence[Effect], state: State, evidence: Callable[[State], float]
-) -> State:
+def _of_families(state: State, library: Sequence[Effect], evidence: Callable[[State], float]) -> State:
     """The set made of whole families, the one that adds most evidence first: what no member shows by itself they may together."""
     simple = [e for e in library if len(e.slots) == 1 and e.at is None and not e.smooth]
     families = dict.fromkeys(map(family, simple))
     parts = [part for own in families for part in _of_orders([e for e in simple if family(e) == own])]
-    made = _without(model, state, [a.effect for a in state.active if not a.stated])
+    made = _without(state, [a.effect for a in state.active if not a.stated])
     for _ in range(FAMILIES):
-        more = [_everywhere(model, part, made) for part in parts]
+        more = [_everywhere(made, part) for part in parts]
         allowed = [own for own in more if len(made.active) < len(own.active) <= MOST_GROWN]
         best = max(allowed, key=evidence, default=made)
         if evidence(best) <= evidence(made):
@@ -119,16 +114,16 @@ def _acts(effect: Effect) -> tuple[object, ...]:
     return effect.where, effect.motion, effect.covariates
 
 
-def _everywhere(model: LinearModel, members: Sequence[Effect], state: State) -> State:
+def _everywhere(state: State, members: Sequence[Effect]) -> State:
     """The set with all of some effects of which the rows say anything, one of each order a place."""
     best: dict[tuple[object, ...], Active] = {}
-    for effect, found in rank(model, members, state):
+    for effect, found in rank(state, members):
         if found.gain > 0.0:
-            best.setdefault((effect.where, effect.order), activate(model, state, effect, found))
-    return solve_state(model, (*state.active, *best.values()), state.solution.sigma, state.used)
+            best.setdefault((effect.where, effect.order), activate(state, effect, found))
+    return state.with_active((*state.active, *best.values()))
 
 
-def _without(model: LinearModel, state: State, effects: Sequence[Effect]) -> State:
+def _without(state: State, effects: Sequence[Effect]) -> State:
     """The set without some effects, rows flagged anew."""
     rest = [a for a in state.active if a.effect not in effects]
-    return with_flags(model, solve_state(model, rest, state.solution.sigma, state.used, fixed=True))
+    return with_flags(state.with_active(rest, fixed=True))

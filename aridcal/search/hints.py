@@ -17,7 +17,6 @@ from aridcal.effects.sights import TARGET
 from aridcal.fit.flags import OUTLIER, distance
 from aridcal.fit.normal_equations import TINY
 from aridcal.robot.chain import Robot
-from aridcal.search.linear_model import LinearModel
 from aridcal.search.state import State
 from aridcal.showing import SILENT, Progress
 
@@ -77,13 +76,13 @@ LOUDEST = 12
 """Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
 
 
-def hinted(model: LinearModel, state: State, kinds: Collection[str]) -> list[Effect]:
+def hinted(state: State, kinds: Collection[str]) -> list[Effect]:
     """Candidates of some kinds that are not always tried, but that the residual hints at."""
     sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
-    return [effect for kind, source in sources.items() if kind in kinds for effect in source(model, state)]
+    return [effect for kind, source in sources.items() if kind in kinds for effect in source(state)]
 
 
-def harmonics(model: LinearModel, state: State) -> list[Effect]:
+def harmonics(state: State) -> list[Effect]:
     r"""Harmonics of any order that the residual hints at: a periodogram over each joint's reading.
 
     Each row asks for a turn of the joint, with weight w; the power of order k is chi-square with two degrees of freedom,
@@ -94,9 +93,10 @@ def harmonics(model: LinearModel, state: State) -> list[Effect]:
     doi:10.1007/BF00648343).
     """
     found = []
-    looked = SCANNED * len(model.own)
-    for name in model.own:
-        q, pull, weight = _asked(model, state, name, state.residual, state.used)
+    joints = state.model.own
+    looked = SCANNED * len(joints)
+    for name in joints:
+        q, pull, weight = _asked(state, name, state.residual, state.used)
         orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL and weight.any() else []
         for order in orders:
             usual = order in ORDERS  # tried anyway
@@ -105,7 +105,7 @@ def harmonics(model: LinearModel, state: State) -> list[Effect]:
     return found
 
 
-def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
+def narrow_maps(state: State) -> list[Effect]:
     r"""Narrow bumps of a joint's error curve that the residual hints at: a window slid over each joint's reading.
 
     With p and w as in :func:`harmonics`, a window of rows that ask for the same turn has
@@ -114,11 +114,9 @@ def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
 
     The candidate is a smooth function about the loudest window alone: over the rest of the range it costs nothing.
     """
-    # Flagged rows may be what is to be explained: they count, by as much as a row that is nearly flagged.
-    far = distance(state.residual, state.solution.sigma, model.channels)
-    clipped = state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None]
+    clipped = _clipped(state)
     every = np.ones(len(clipped), dtype=bool)
-    places = {name: _asked(model, state, name, clipped, every) for name in model.own}
+    places = {name: _asked(state, name, clipped, every) for name in state.model.own}
     looked = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
     found = []
     for name, (q, pull, weight) in places.items():
@@ -132,7 +130,7 @@ def narrow_maps(model: LinearModel, state: State) -> list[Effect]:
     return found
 
 
-def dents(model: LinearModel, state: State) -> list[Effect]:
+def dents(state: State) -> list[Effect]:
     r"""Places around which targets are off that the residual hints at: a ball moved through all places, one of several sizes.
 
     With p and w as in :func:`harmonics`, here for a shift of the target, and :math:`\varphi` the function about a place,
@@ -141,17 +139,15 @@ def dents(model: LinearModel, state: State) -> list[Effect]:
 
     One shift at one place has three coefficients; a field over all places would have to be as large everywhere.
     """
-    slots = [("world_base", component) for component in SHIFT]
+    model, slots = state.model, [("world_base", component) for component in SHIFT]
     if not (set(TARGET) <= set(model.table) and set(slots) <= set(model.slots)):
         return []
     places = np.column_stack([model.table[name] for name in TARGET])
     field = ball_field(places)
     if not field:
         return []
-    far = distance(state.residual, state.solution.sigma, model.channels)
-    clipped = state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None]
     G = np.stack([model.slot_columns(*slot) for slot in slots], axis=2) / state.sigma[:, None]
-    pull = np.einsum("nms,nm->ns", G, clipped / state.sigma)
+    pull = np.einsum("nms,nm->ns", G, _clipped(state) / state.sigma)
     weight = np.einsum("nms,nms->n", G, G) / len(slots)
     pull = pull - weight[:, None] * pull.sum(axis=0) / max(weight.sum(), TINY)
     centres = np.array([basis.numbers[:3] for basis in field])
@@ -172,13 +168,20 @@ def dents(model: LinearModel, state: State) -> list[Effect]:
     return [Effect("residual_field", "world_base", shift, by=IN_SPACE, looked=len(centres) * len(radii))]
 
 
+def _clipped(state: State) -> np.ndarray:
+    """Residuals, shape (N, m): flagged rows may be what is to be explained; they count by as much as a row nearly flagged."""
+    far = distance(state.residual, state.solution.sigma, state.channels)
+    return np.asarray(state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None])
+
+
 def _asked(
-    model: LinearModel, state: State, joint: str, residual: np.ndarray, rows: np.ndarray
+    state: State, joint: str, residual: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A joint's readings in some rows, and the turn that each row's residual asks for: pull and weight, shape (n,).
 
     The mean of the turns is taken off: it belongs to the constants.
     """
+    model = state.model
     q = model.table[joint][rows]
     if (joint, "axis") not in model.slot_index:
         return q, np.zeros(len(q)), np.zeros(len(q))
@@ -226,14 +229,14 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
 
 
 def pairs(
-    model: LinearModel, state: State, covariates: Sequence[str], robot: Robot, progress: Progress = SILENT
+    state: State, covariates: Sequence[str], robot: Robot, progress: Progress = SILENT
 ) -> tuple[list[tuple[str, str, tuple[str, str]]], int]:
     """Where and of which two covariates a smooth function would explain most, and how many were looked at.
 
     The residual is pulled back to each slot as the motion that would explain it row by row, and that is projected on
     products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
     """
-    used = state.used
+    model, used = state.model, state.used
     G = model.G[used]
     G /= state.sigma[:, None]
     weight = np.einsum("nms,nms->ns", G, G)

@@ -8,10 +8,8 @@ from aridcal.effects.effect import Effect
 from aridcal.effects.place_scatter import is_scatter, place_scatter
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
-from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import refine
-from aridcal.search.screening import score_all
-from aridcal.search.state import State, activate, noise_with, solve_state, without_effect
+from aridcal.search.scoring import score_of
+from aridcal.search.state import State, activate, noise_with, without_effect
 
 MOST_PLACES = 100
 """Places at the most that have a deviation of their own: each costs three or six columns, and of more the mean over rows of one
@@ -41,25 +39,24 @@ def has_scatter(state: State) -> bool:
     return any(is_scatter(a.effect) for a in state.active)
 
 
-def without_scatter(model: LinearModel, state: State) -> State:
+def without_scatter(state: State) -> State:
     """The model whose places do not scatter."""
     rest = [a for a in state.active if not is_scatter(a.effect)]
-    return state if len(rest) == len(state.active) else solve_state(model, rest, state.solution.sigma, state.used)
+    return state if len(rest) == len(state.active) else state.with_active(rest)
 
 
-def with_scatter(model: LinearModel, state: State, scatter: tuple[Effect, ...]) -> State:
+def with_scatter(state: State, scatter: tuple[Effect, ...]) -> State:
     """The model with the scatter of places, its size found anew beside all effects; without what is not clear.
 
     Args:
-        model: The linearised model.
         state: The model as it is.
         scatter: What may be in it; see :func:`scatter_of`.
     """
     for effect in scatter:
         if any(a.effect == effect for a in state.active):
-            state = without_effect(model, state, effect)
-        found = refine(model, state, effect, score_all(model, [effect], state)[0])
+            state = without_effect(state, effect)
+        found = score_of(state, effect)
         if found.gain >= CLEARLY:
-            kept = replace(activate(model, state, effect, found), stated=True)  # a nuisance: no gate judges it
-            state = solve_state(model, (*state.active, kept), noise_with(state, found), state.used)
+            kept = replace(activate(state, effect, found), stated=True)  # a nuisance: no gate judges it
+            state = state.with_active((*state.active, kept), noise_with(state, found))
     return state

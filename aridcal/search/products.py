@@ -48,9 +48,6 @@ MEMBERS = 24
 # What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
-# Members and their A'A, shape (C, P, P), and A'r, (C, P).
-Assembled = tuple[tuple[Member, ...], np.ndarray, np.ndarray]
-
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
 Flat = tuple[np.ndarray, ...]
 
@@ -167,7 +164,6 @@ class Products:
         self.constants: Member = None, np.eye(A.shape[2])
         self._place: dict[Effect, tuple[Chunk, slice]] = {}
         self._kept = 0
-        self.assembled: Assembled | None = None
         self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
@@ -199,7 +195,6 @@ class Products:
         for effect in list(self._known):
             self._forget(effect)
         self._solved.clear()
-        self.assembled = None
         self._place.clear()
         self._moving.clear()
         self._of_limbs.clear()

@@ -14,7 +14,7 @@ from aridcal.search.hints import hinted
 from aridcal.search.linear_model import LinearModel
 from aridcal.search.scoring import ALPHA, refine, sources
 from aridcal.search.screening import score_all
-from aridcal.search.state import State, activate, noise_with, solve_state
+from aridcal.search.state import State, activate, noise_with
 from aridcal.showing import SILENT, Progress
 
 REFINED = 6
@@ -44,9 +44,8 @@ def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
 
 
 def rank(
-    model: LinearModel,
-    library: Sequence[Effect],
     state: State,
+    library: Sequence[Effect],
     hints: Collection[str] = (),
     also: Sequence[Effect] = (),
     progress: Progress = SILENT,
@@ -55,28 +54,27 @@ def rank(
     """Score every candidate that is not in the model; the best first, the first few with their noise apart.
 
     Args:
-        model: The linearised model.
-        library: Candidates; a step among them is tried where the residual asks for it most.
         state: The model as it is.
+        library: Candidates; a step among them is tried where the residual asks for it most.
         hints: Kinds of which those that the residual hints at are candidates too.
         also: Further candidates, as they are.
         progress: Told how many are scored.
         known: Rough scores of candidates, where there are some.
     """
     jumps = [e for e in library if e.at is not None]
-    library = [*(e for e in library if e.at is None), *best_steps(model, state, jumps), *also]
-    taken = {a.effect for a in state.active}
+    library = [*(e for e in library if e.at is None), *best_steps(state.model, state, jumps), *also]
+    taken = set(state.effects)
     held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
-    every = dict.fromkeys([*library, *hinted(model, state, hints)])
+    every = dict.fromkeys([*library, *hinted(state, hints)])
     free = [e for e in every if e not in taken and not _is_held(e, held)]
     rough = dict(known or {})
     new = [e for e in free if e not in rough]
-    rough.update(zip(new, score_all(model, new, state, progress), strict=True))
+    rough.update(zip(new, score_all(state.model, new, state, progress), strict=True))
     order = sorted(free, key=lambda e: -round(rough[e].gain, ALIKE))
     top = rough[order[0]].gain if order else 0.0
     hopeless = top < HOPELESS * float(np.log(max(len(every), 1) / ALPHA))
     head = [] if hopeless else [e for e in order if rough[e].gain > PROMISING * top][:REFINED]
-    close = sorted(((e, refine(model, state, e, rough[e])) for e in head), key=lambda pair: -round(pair[1].gain, ALIKE))
+    close = sorted(((e, refine(state, e, rough[e])) for e in head), key=lambda pair: -round(pair[1].gain, ALIKE))
     refined = set(head)
     return close + [(e, rough[e]) for e in order if e not in refined]
 
@@ -86,19 +84,17 @@ def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
     return (effect.kind, effect.where) in held and max(effect.order, default=0.0) < MAPPED
 
 
-def in_place_of(model: LinearModel, library: Sequence[Effect], effect: Effect) -> list[Effect]:
+def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
     """Candidates that may be what an effect is taken for: of what joints alone decide, no step, where a scan takes long."""
-    timed = effect.at is not None or not set(sources(effect)) <= set(model.own)
-    return [e for e in library if e.at is None or timed or is_small(model, library)]
+    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.own)
+    return [e for e in library if e.at is None or timed or is_small(state.model, library)]
 
 
-def with_effect(model: LinearModel, state: State, effect: Effect, found: Score) -> State:
+def with_effect(state: State, effect: Effect, found: Score) -> State:
     """The model with a candidate, flags and noise found anew, from the noise that its score was found with."""
-    return solve_state(
-        model, (*state.active, activate(model, state, effect, found)), noise_with(state, found), state.used
-    )
+    return state.with_active((*state.active, activate(state, effect, found)), noise_with(state, found))
 
 
-def with_flags(model: LinearModel, state: State) -> State:
+def with_flags(state: State) -> State:
     """The same effects, rows flagged anew."""
-    return solve_state(model, state.active, state.solution.sigma, state.used)
+    return state.with_active(state.active)

@@ -41,6 +41,7 @@ from aridcal.search.evidence import (
     with_noise,
 )
 from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.screening import score_all
 from aridcal.search.sets import Choices
 from aridcal.search.state import State, activate, by_fold, with_candidate, with_columns
 
@@ -95,18 +96,23 @@ class Judgement:
     why: str
 
 
-def refine(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
+def refine(state: State, effect: Effect, rough: Score) -> Score:
     """The same score with the noise of each channel estimated apart, with the candidate in."""
     question = effect, rough.gain, rough.tau, rough.kernel
-    return state.once(question, lambda: _refined(model, state, effect, rough))
+    return state.once(question, lambda: _refined(state, effect, rough))
 
 
-def _refined(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
+def score_of(state: State, effect: Effect) -> Score:
+    """Evidence for one candidate, the noise of each channel estimated with it in."""
+    return refine(state, effect, score_all(state.model, [effect], state)[0])
+
+
+def _refined(state: State, effect: Effect, rough: Score) -> Score:
     if effect.smooth:
-        return _reshaped(model, state, effect, rough)
+        return _reshaped(state, effect, rough)
     if rough.freedom == 0:  # declared, though the model can do all that it does
         return rough
-    candidate = activate(model, state, effect, rough)
+    candidate = activate(state, effect, rough)
     equations, precision = with_candidate(state, candidate)
     sigma, likelihood = _noise_with(state, equations, precision)
     twice = 2.0 * (likelihood - state.solution.likelihood)
@@ -124,11 +130,11 @@ def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray)
     return after.sigma, after.likelihood
 
 
-def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) -> Score:
+def _reshaped(state: State, effect: Effect, rough: Score) -> Score:
     """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
     total, found = with_columns(state, effect), rough
     for _ in range(SHAPINGS):
-        candidate = activate(model, state, effect, found)
+        candidate = activate(state, effect, found)
         equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
         sigma, likelihood = _noise_with(state, equations, precision)
         if found.sigma is not None and abs(np.log(found.sigma[0] / sigma[0])) < SHAPED:
@@ -140,11 +146,10 @@ def _reshaped(model: LinearModel, state: State, effect: Effect, rough: Score) ->
     return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
 
 
-def judge(model: LinearModel, state: State, effect: Effect, found: Score, choices: Choices) -> Judgement:
+def judge(state: State, effect: Effect, found: Score, choices: Choices) -> Judgement:
     """Accept a candidate, or say why not.
 
     Args:
-        model: The linearised model.
         state: The model without it.
         effect: The candidate.
         found: Its evidence.
@@ -154,6 +159,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, choice
     siblings = choices.siblings(state.active, effect)
     chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
     tested += effect.looked if effect.hinted else 0
+    model = state.model
     if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
         places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
         tested += len(state.fold) * len(places)
@@ -164,7 +170,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, choice
 
     if found.gain <= 0.0 or p_value > chance:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
-    candidate = activate(model, state, effect, found)
+    candidate = activate(state, effect, found)
     loss = held_back_folds(state, candidate).sum(axis=1)
     share = float(1.0 - loss[1].sum() / loss[0].sum())
     who = (effect.kind, effect.where, effect.at)
@@ -173,10 +179,10 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, choice
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if model.thing is not None and _at_several(model, effect):
-        whole = held_back(model, state, candidate, model.thing[state.used]).sum(axis=(1, 2))
+        whole = held_back(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
-    if held_out_whole(model, state, candidate) <= 0.0:
+    if held_out_whole(state, candidate) <= 0.0:
         return judgement(share, "does not hold in regions that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
     if effect.smooth and not effect.hinted and not is_local(effect):
@@ -187,7 +193,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, choice
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(sources(effect)) <= set(model.own):
-        robust = _over_time(model, state, candidate)
+        robust = _over_time(state, candidate)
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
     if effect.at is not None:
@@ -197,7 +203,7 @@ def judge(model: LinearModel, state: State, effect: Effect, found: Score, choice
     return judgement(share, "")
 
 
-def held_out_whole(model: LinearModel, state: State, candidate: Active) -> float:
+def held_out_whole(state: State, candidate: Active) -> float:
     """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
 
     A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
@@ -206,10 +212,10 @@ def held_out_whole(model: LinearModel, state: State, candidate: Active) -> float
     effect = candidate.effect
     if not KINDS[effect.kind].asked or is_local(effect):
         return 1.0
-    places = np.column_stack([model.table[name][state.used] for name in effect.covariates])
+    places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
     middles, _ = spread_out(places, REGIONS)
     part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
-    without, with_it = held_back(model, state, candidate, part).sum(axis=(1, 2))
+    without, with_it = held_back(state, candidate, part).sum(axis=(1, 2))
     return float(1.0 - with_it / without)
 
 
@@ -233,13 +239,13 @@ def sources(effect: Effect) -> list[str]:
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
-def _over_time(model: LinearModel, state: State, candidate: Active) -> float:
+def _over_time(state: State, candidate: Active) -> float:
     """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
-    run = np.unique(model.run[state.used], return_inverse=True)[1]
+    run = np.unique(state.model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
         return _robust(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = held_back(model, state, candidate, run % PARTS).sum(axis=1)
+    loss = held_back(state, candidate, run % PARTS).sum(axis=1)
     return _ranked(np.array([np.bincount(run, each) for each in loss]))
 
 
@@ -274,11 +280,10 @@ def signed_ranks(values: np.ndarray) -> float:
     return float(ndtr(-above / np.sqrt(max(spread, TINY))))
 
 
-def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
-        model: The linearised model.
         state: The model without it.
         candidate: What is added.
         part: Number of the part of each row in use, shape (n,).
@@ -288,8 +293,8 @@ def held_back(model: LinearModel, state: State, candidate: Active, part: np.ndar
     """
     total, precision = with_candidate(state, candidate)
     sigma = _noise_with(state, total, precision)[0]
-    added = state.flat(candidate.columns(model))
-    design = [np.hstack([a, c]) for a, c in zip(state.design, added, strict=True)]
+    more = state.flat(candidate.columns(state.model))
+    design = [np.hstack([a, c]) for a, c in zip(state.design, more, strict=True)]
     everything = np.ones(len(precision), dtype=bool)
     kept = [np.arange(len(precision)) < len(state.precision), everything]
     return held_back_squares(state, design, total, precision, sigma, part, kept)

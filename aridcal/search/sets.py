@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import lgamma, log
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.effects.effect import Effect
 from aridcal.fit.normal_equations import TINY, inverse
 from aridcal.search.evidence import SMOOTH_PRICE
-from aridcal.search.linear_model import Active, LinearModel
+from aridcal.search.linear_model import Active
 from aridcal.search.state import State, solve_state
 
 SEVERAL = 2
@@ -32,14 +32,16 @@ def family(effect: Effect) -> Family:
 
 @dataclass(frozen=True)
 class Choices:
-    """What was chosen among.
+    """What is tried, and what it was chosen among.
 
     Attributes:
+        library: Candidates that are tried.
         count: Candidates in all.
         places: Where each family may act.
         orders: The orders that it may have.
     """
 
+    library: tuple[Effect, ...]
     count: int
     places: Mapping[Family, frozenset[str]]
     orders: Mapping[Family, frozenset[tuple[float, ...]]]
@@ -53,10 +55,15 @@ class Choices:
             places.setdefault(family(effect), set()).add(effect.where)
             orders.setdefault(family(effect), set()).add(effect.order)
         return cls(
+            tuple(library),
             max(count, len(library)),
             {own: frozenset(some) for own, some in places.items()},
             {own: frozenset(some) for own, some in orders.items()},
         )
+
+    def only(self, library: Sequence[Effect]) -> Choices:
+        """Some of the candidates tried alone, chosen among all the same."""
+        return replace(self, library=tuple(library))
 
     def siblings(self, active: Sequence[Active], effect: Effect) -> int:
         """Candidates of its family at places without one, where several others of it are in the model; else 0."""
@@ -97,7 +104,7 @@ class Choices:
         return log(max(len(self.places), 1)) + where + orders
 
 
-def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np.ndarray) -> float:
+def evidence_of_set(state: State, choices: Choices, used: np.ndarray) -> float:
     r"""Logarithm of the evidence for a set of effects on some rows, up to a constant that all sets share, [nat].
 
     Laplace's integral over the coefficients of all effects together, so that what two of them do alike is charged once:
@@ -111,13 +118,12 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
     and D is 0.
 
     Args:
-        model: The linearised model.
         state: The set.
         choices: What it was chosen among.
         used: Rows by which sets are compared, shape (N,) bool.
     """
     if not np.array_equal(state.used, used):
-        state = solve_state(model, state.active, state.solution.sigma, used, fixed=True)
+        state = solve_state(state.model, state.active, state.solution.sigma, used, fixed=True)
     charged = choices.cost(state.active)
     beta, V = state.solution.beta, state.solution.inverse
     size, plain = np.ones(len(beta)), np.zeros(len(beta), dtype=bool)
@@ -132,7 +138,7 @@ def evidence_of_set(model: LinearModel, state: State, choices: Choices, used: np
         apart = beta[plain] / size[plain]
         spread = V[np.ix_(plain, plain)] / np.outer(size[plain], size[plain])
         charged += 0.5 * float(apart @ np.linalg.solve(spread + np.eye(len(apart)), apart))
-    effects = slice(len(model.gauge), len(beta))
+    effects = slice(len(state.model.gauge), len(beta))
     T = size[effects]
     information = T[:, None] * inverse(V[effects, effects]) * T + np.diag(plain[effects].astype(float))
     volume = np.linalg.slogdet(information)[1] if len(T) else 0.0

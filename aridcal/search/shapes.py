@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.scoring import refine
-from aridcal.search.screening import score_all
-from aridcal.search.state import State, activate, solve_state, without_effect
+from aridcal.search.linear_model import Active
+from aridcal.search.scoring import score_of
+from aridcal.search.state import State, activate, without_effect
 
 ROUNDS = 5
 """In which curves are shaped one after the other: two or three do where curves of one joint imitate each other."""
@@ -19,27 +18,24 @@ SAME = 0.1
 """Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 
-def reshaped(model: LinearModel, state: State, some: Callable[[Active], bool]) -> State:
+def reshaped(state: State, some: Callable[[Active], bool]) -> State:
     """The model with the shapes of its curves found anew, one after the other, until they stay.
 
     A curve that is shaped before others are in the model bends after what they do, and would stay as rough.
 
     Args:
-        model: The linearised model.
         state: A set of effects.
         some: Which of them.
     """
     for _ in range(ROUNDS):
         before = state
         for one in [a for a in state.active if a.effect.smooth and some(a)]:
-            without = without_effect(model, state, one.effect)
-            found = refine(model, without, one.effect, score_all(model, [one.effect], without)[0])
+            without = without_effect(state, one.effect)
+            found = score_of(without, one.effect)
             if found.freedom == 0 or _alike(one, found.tau, found.kernel):
                 continue
-            again = replace(activate(model, without, one.effect, found), stated=one.stated)
-            state = solve_state(
-                model, [again if a is one else a for a in state.active], state.solution.sigma, state.used
-            )
+            again = replace(activate(without, one.effect, found), stated=one.stated)
+            state = state.with_active([again if a is one else a for a in state.active])
         if state is before:
             break
     return state

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.effects.effect import Effect
+from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.smooth import samples_root
 from aridcal.fit.flags import flagged
 from aridcal.fit.normal_equations import RIDGE, NormalEquations, accumulate, conditional
@@ -19,7 +19,7 @@ from aridcal.fit.normal_equations import solve as solve_equations
 from aridcal.instruments.channels import Channels, flat, spread
 from aridcal.search.evidence import Score, Solution, noise_left, solve
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.products import Assembled, Chunk, Member, Products
+from aridcal.search.products import Chunk, Member, Products
 
 FAINT = 0.02
 """A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
@@ -93,11 +93,6 @@ class State:
         return self.flat(self.model.r)
 
     @cached_property
-    def unused_fold(self) -> np.ndarray:
-        """Which fold the rows not in use are of, shape (N - n,)."""
-        return np.searchsorted(self.model.products.layout.starts, self.unused, side="right") - 1
-
-    @cached_property
     def right_of_unused(self) -> list[np.ndarray]:
         """Residuals of the rows not in use, shape ((N - n) size,) for each channel."""
         made = self.model.products
@@ -107,13 +102,17 @@ class State:
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
         AA, Ar = _assembled(self.model.products, self.members, together=False)
-        for c, (channel, a, r) in enumerate(zip(self.channels, self.extra, self.right_of_unused, strict=True)):
-            of_number = np.repeat(self.unused_fold, channel.size)
-            for f in np.unique(of_number).tolist():
-                lost = of_number == f
-                AA[f, c] -= a[lost].T @ a[lost]
-                Ar[f, c] -= a[lost].T @ r[lost]
+        AA -= self.unused_products(self.extra, self.extra)
+        Ar -= self.unused_products(self.extra, self.right_of_unused)
         return AA, Ar
+
+    def unused_products(self, X: Sequence[np.ndarray], Y: Sequence[np.ndarray]) -> np.ndarray:
+        """X'Y over the rows not in use of each of F folds, shape (F, C, ...), from arrays of these rows for each channel."""
+        made = []
+        for low, high in pairwise(np.searchsorted(self.unused, self.model.products.layout.starts).tolist()):
+            own = [slice(low * channel.size, high * channel.size) for channel in self.channels]
+            made.append([x[rows].T @ y[rows] for x, y, rows in zip(X, Y, own, strict=True)])
+        return np.array(made)
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -152,6 +151,23 @@ class State:
         return fitted
 
     @property
+    def effects(self) -> tuple[Effect, ...]:
+        """The effects alone."""
+        return tuple(a.effect for a in self.active)
+
+    def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
+        """Another set of effects in the same model, from the rows and the noise of this one; see :func:`solve_state`."""
+        return solve_state(self.model, active, self.solution.sigma if sigma is None else sigma, self.used, fixed)
+
+    def coefficients(self, constants: Sequence[Coefficient]) -> dict[Coefficient, float]:
+        """The solution by its coefficients, the K constants first."""
+        first, *others = self.places
+        values = dict(zip(constants, self.solution.beta[first].tolist(), strict=True))
+        for a, own in zip(self.active, others, strict=True):
+            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[own]).tolist(), strict=True))
+        return values
+
+    @property
     def sigma(self) -> np.ndarray:
         """Noise of each number of a row, shape (m,)."""
         return spread(self.solution.sigma, self.channels)
@@ -162,8 +178,7 @@ class State:
 
     def whitened(self, values: Sequence[np.ndarray]) -> np.ndarray:
         """Arrays of the design's shape in sigmas, all channels under one another."""
-        scaled = [part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)]
-        return np.concatenate(scaled)
+        return np.concatenate([part / sigma for part, sigma in zip(values, self.solution.sigma, strict=True)])
 
     def in_use(self, chunk: Chunk, where: slice | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Sums of candidates' columns over the rows in use.
@@ -223,11 +238,9 @@ def solve_state(
 
 
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
-    """Sums of a set of effects over all rows, whether in use or not: those of the last set as far as it is the same."""
+    """Sums of a set of effects over all rows, whether in use or not."""
     made = model.products
-    every = members(model, active)
-    AA, Ar = _assembled(made, every, together=True, known=made.assembled)
-    made.assembled = every, AA, Ar
+    AA, Ar = _assembled(made, members(model, active), together=True)
     sizes = np.array([channel.size for channel in model.channels])
     return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
@@ -260,74 +273,31 @@ def _places(sizes: Sequence[int]) -> list[slice]:
     return [slice(low, high) for low, high in pairwise(ends)]
 
 
-def _assembled(
-    made: Products, every: Sequence[Member], together: bool, known: Assembled | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P).
-
-    Args:
-        made: Products of the members.
-        every: The members.
-        together: Whether the folds are summed.
-        known: The same of others, of which some may be among these.
-    """
+def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
+    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
 
     def summed(of_folds: np.ndarray) -> np.ndarray:
         return np.asarray(of_folds.sum(axis=0)) if together else of_folds
 
-    own = _places([modes.shape[1] for _, modes in every])
-    shape = made.squares.shape[together:]
-    AA, Ar = np.empty((*shape, own[-1].stop, own[-1].stop)), np.empty((*shape, own[-1].stop))
-    same = set() if known is None else _copied(known, every, own, AA, Ar)
-    for i, a in enumerate(every):
-        if i not in same:
-            Ar[..., own[i]] = summed(made.pull(a[0])) @ a[1]
-        for j, b in enumerate(every[: i + 1]):
-            if i in same and j in same:
-                continue
-            block = summed(made.in_modes(a, b))
-            AA[..., own[i], own[j]] = block
-            AA[..., own[j], own[i]] = np.swapaxes(block, -1, -2)
+    Ar = np.concatenate([summed(made.pull(effect)) @ modes for effect, modes in every], axis=-1)
+    AA = np.empty((*Ar.shape, Ar.shape[-1]))
+    for k, own in enumerate(_places([modes.shape[1] for _, modes in every])):
+        row = summed(np.concatenate([made.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
+        AA[..., own, : own.stop] = row
+        AA[..., : own.stop, own] = np.swapaxes(row, -1, -2)
     return AA, Ar
-
-
-def _copied(
-    known: Assembled, every: Sequence[Member], own: Sequence[slice], AA: np.ndarray, Ar: np.ndarray
-) -> set[int]:
-    """Copy to AA and Ar what is known of members; numbers of those that are."""
-    before, known_AA, known_Ar = known
-    places = _places([modes.shape[1] for _, modes in before])
-    where = {id(modes): place for (_, modes), place in zip(before, places, strict=True)}
-    same = {k: where[id(modes)] for k, (_, modes) in enumerate(every) if id(modes) in where}
-    runs: list[tuple[slice, slice]] = []  # here and there: members that follow one another in both are copied together
-    for k, there in same.items():
-        here = own[k]
-        if runs and (runs[-1][0].stop, runs[-1][1].stop) == (here.start, there.start):
-            here, there = slice(runs[-1][0].start, here.stop), slice(runs[-1][1].start, there.stop)
-            runs.pop()
-        runs.append((here, there))
-    for here, there in runs:
-        Ar[:, here] = known_Ar[:, there]
-        for across, from_there in runs:
-            AA[:, here, across] = known_AA[:, there, from_there]
-    return set(same)
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
     model, made = state.model, state.model.products
-    (AA, Ar), fold = state.of_folds, state.unused_fold
+    AA, Ar = state.of_folds
     mine = candidate.effect, candidate.modes
+    extra = columns_at(model, [mine], state.unused)
     cross = np.concatenate([made.in_modes(member, mine) for member in state.members], axis=2)
-    own, pull = made.in_modes(mine, mine).copy(), made.pull(mine[0]) @ mine[1]
-    extra, right = columns_at(model, [mine], state.unused), state.right_of_unused
-    for c, (channel, x, a, r) in enumerate(zip(state.channels, extra, state.extra, right, strict=True)):
-        of_number = np.repeat(fold, channel.size)
-        for f in np.unique(fold).tolist():
-            lost = of_number == f
-            cross[f, c] -= a[lost].T @ x[lost]
-            own[f, c] -= x[lost].T @ x[lost]
-            pull[f, c] -= x[lost].T @ r[lost]
+    cross -= state.unused_products(state.extra, extra)
+    own = made.in_modes(mine, mine) - state.unused_products(extra, extra)
+    pull = made.pull(mine[0]) @ mine[1] - state.unused_products(extra, state.right_of_unused)
     P, weight = AA.shape[-1], sigma**-2.0
     H = np.empty((len(AA), P + cross.shape[-1], P + cross.shape[-1]))
     H[:, :P, :P] = np.einsum("c,fcij->fij", weight, AA)
@@ -337,7 +307,7 @@ def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndar
     return H, np.einsum("c,fci->fi", weight, np.concatenate([Ar, pull], axis=2))
 
 
-def without_effect(model: LinearModel, state: State, effect: Effect) -> State:
+def without_effect(state: State, effect: Effect) -> State:
     r"""The model without one of its effects, solved on the same rows.
 
     The noise to begin with is the one that the coefficients leave without it at the noise that they had with it, which needs no
@@ -354,7 +324,7 @@ def without_effect(model: LinearModel, state: State, effect: Effect) -> State:
     fewer = np.einsum("ij,cij->c", solve_equations(out[gone], out.T, ridge=RIDGE).T, equations.AA @ out)
     left = equations.squares_left(conditional(V, before.beta, gone))
     sigma = noise_left(equations, left, before.spent - fewer / before.sigma**2)
-    return solve_state(model, [a for a in state.active if a.effect != effect], sigma, state.used, fixed=True)
+    return state.with_active([a for a in state.active if a.effect != effect], sigma, fixed=True)
 
 
 def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
@@ -366,13 +336,12 @@ def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.
     return np.asarray(left)
 
 
-def activate(model: LinearModel, state: State, effect: Effect, found: Score) -> Active:
+def activate(state: State, effect: Effect, found: Score) -> Active:
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
-        return Active(effect, found, np.eye(len(effect.coefficients)), prior=model.prior_of(effect))
-    noise = noise_with(state, found)
-    chunk, own = model.products.chunk_of(effect)
-    gram = np.tensordot(noise**-2.0, chunk.of_one(own), 1)
+        return Active(effect, found, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
+    chunk, own = state.model.products.chunk_of(effect)
+    gram = np.tensordot(noise_with(state, found) ** -2.0, chunk.of_one(own), 1)
     root = found.tau * samples_root(effect.shape, found.kernel)
     told, modes = np.linalg.eigh(root.T @ gram @ root)
     return Active(effect, found, root @ modes[:, told > FAINT])

@@ -15,7 +15,7 @@ from aridcal.search.change_points import best_steps
 from aridcal.search.evidence import DEPENDENT
 from aridcal.search.hints import hinted
 from aridcal.search.linear_model import Active, LinearModel
-from aridcal.search.scoring import held_back, held_out_whole, judge, refine
+from aridcal.search.scoring import held_back, held_out_whole, judge, score_of
 from aridcal.search.screening import score_all
 from aridcal.search.sets import Choices
 from aridcal.search.shapes import reshaped
@@ -38,8 +38,8 @@ def with_declared(
     """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
 
     Those of which the rows tell nothing beside the constants, and the effects taken before, are left out and named, and so are
-    those of their motions of which the rows tell nothing beside the others (:func:`_told`); so are constants by region with which
-    rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
+    those of their motions of which the rows tell nothing beside the others (:func:`_identifiable`); so are constants by region
+    with which rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
     """
     lost: list[Barred] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
@@ -54,61 +54,52 @@ def with_declared(
         if score_all(linear, [effect], state)[0].freedom == 0:
             lost.append(_left_out(effect, CONFOUNDED))
             continue
-        told = _told(linear, state, effect)
-        mute = [c.name for c in effect.coefficients if c not in told.coefficients]
+        part = _identifiable(state, effect)
+        mute = [c.name for c in effect.coefficients if c not in part.coefficients]
         lost += [Barred(f"{name}, of the declared {effect.label},", CONFOUNDED) for name in mute]
-        active = (*state.active, _admitted(linear, state, told))
-        state = solve_state(linear, active, state.solution.sigma, state.used)
-    state, left_out = _with_regions(linear, waiting, state)
-    return reshaped(linear, state, lambda a: a.stated), [*lost, *left_out]
+        state = state.with_active((*state.active, _admitted(state, part)))
+    state, left_out = _with_regions(state, waiting)
+    return reshaped(state, lambda a: a.stated), [*lost, *left_out]
 
 
-def with_fields(linear: LinearModel, stated: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
+def with_fields(state: State, stated: Sequence[Effect]) -> tuple[State, list[Barred]]:
     """The model with the declared fields of shifts that are worth it in what all else leaves: they could hide any cause."""
     fields = [e for e in stated if not KINDS[e.kind].named and KINDS[e.kind].asked]
     if not fields:
         return state, []
     for _ in range(MOST_DENTS):
-        loud = [
-            (e, refine(linear, state, e, score_all(linear, [e], state)[0]))
-            for e in hinted(linear, state, {fields[0].kind})
-        ]
-        taken = [
-            activate(linear, state, e, found)
-            for e, found in loud
-            if not judge(linear, state, e, found, Choices.of([e])).why
-        ]
-        if not taken:
+        loud = hinted(state, {fields[0].kind})
+        passed = [_admitted(state, e) for e in loud if not judge(state, e, score_of(state, e), Choices.of([e])).why]
+        if not passed:
             break
-        active = (*state.active, *(replace(a, stated=True) for a in taken))
-        state = solve_state(linear, active, state.solution.sigma, state.used)
+        state = state.with_active((*state.active, *passed))
     dented = any(a.stated and a.effect.kind == fields[0].kind for a in state.active)
-    state, lost = _with_regions(linear, fields, state)
+    state, lost = _with_regions(state, fields)
     return state, [] if dented else lost
 
 
-def _with_regions(linear: LinearModel, waiting: Sequence[Effect], state: State) -> tuple[State, list[Barred]]:
+def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[Barred]]:
     """Deviations by region that are worth it, the best first: what one of them hides is seen once that is in the model."""
     left = list(waiting)
     while left:
-        tried = [(effect, _admitted(linear, state, each)) for effect in left for each in widths(effect)]
-        worth = [(effect, a) for effect, a in tried if _predicts_better(linear, state, a)]
+        tried = [(effect, _admitted(state, each)) for effect in left for each in widths(effect)]
+        worth = [(effect, a) for effect, a in tried if _predicts_better(state, a)]
         if not worth:
             break
         effect, best = max(worth, key=lambda pair: pair[1].score.gain)
         left.remove(effect)
-        state = solve_state(linear, (*state.active, best), state.solution.sigma, state.used)
-    tied = _tied(linear, state, left)
+        state = state.with_active((*state.active, best))
+    tied = _tied(state, left)
     return state, [_left_out(e, CONFOUNDED if e in tied else NO_BETTER) for e in left]
 
 
-def tied_to_frames(linear: LinearModel, state: State, candidates: Sequence[Effect]) -> list[Barred]:
+def tied_to_frames(state: State, candidates: Sequence[Effect]) -> list[Barred]:
     """Of deviations of labels those that the model does without: frames that each label has to itself, for the most part."""
-    tied = _tied(linear, state, candidates)
+    tied = _tied(state, candidates)
     return [Barred(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
 
 
-def _tied(linear: LinearModel, state: State, effects: Sequence[Effect]) -> list[Effect]:
+def _tied(state: State, effects: Sequence[Effect]) -> list[Effect]:
     """Deviations of labels of which nothing is left beside the model's own columns, whatever is believed of them beforehand."""
     own = [e for e in effects if is_of_labels(e)]
     if not own:
@@ -116,41 +107,40 @@ def _tied(linear: LinearModel, state: State, effects: Sequence[Effect]) -> list[
     Q = np.linalg.qr(state.whitened(state.design))[0]
     found = []
     for effect in own:
-        C = state.whitened(state.flat(linear.columns(effect)))
+        C = state.whitened(state.flat(state.model.columns(effect)))
         left = C - Q @ (Q.T @ C)
         if np.all(np.sum(left**2, axis=0) <= DEPENDENT * np.sum(C**2, axis=0)):
             found.append(effect)
     return found
 
 
-def _predicts_better(linear: LinearModel, state: State, candidate: Active) -> bool:
+def _predicts_better(state: State, candidate: Active) -> bool:
     """True if there is evidence, and rows held back are predicted better, in regions held back whole where it speaks of them."""
     if candidate.score.gain <= 0.0 or candidate.score.freedom == 0:
         return False
-    without, with_it = held_back(linear, state, candidate, state.fold).sum(axis=(1, 2))
-    return bool(with_it < without) and held_out_whole(linear, state, candidate) > 0.0
+    without, with_it = held_back(state, candidate, state.fold).sum(axis=(1, 2))
+    return bool(with_it < without) and held_out_whole(state, candidate) > 0.0
 
 
-def _told(linear: LinearModel, state: State, effect: Effect) -> Effect:
+def _identifiable(state: State, effect: Effect) -> Effect:
     """A declared effect without those coefficients that are sums of the model's columns and of its own before them.
 
     A revolute joint's ``axis`` is one of its bearing's rotations: of both together the rows tell the sum alone. What is
     believed beforehand of a smooth effect, or of its size, tells its coefficients apart anyhow.
     """
-    if effect.smooth or linear.prior_of(effect):
+    if effect.smooth or state.model.prior_of(effect):
         return effect
     kept: tuple[Coefficient, ...] = ()
     for coefficient in effect.coefficients:
         more = replace(effect, coefficients=(*kept, coefficient))
-        if score_all(linear, [more], state)[0].freedom > len(kept):
+        if score_all(state.model, [more], state)[0].freedom > len(kept):
             kept = more.coefficients
     return replace(effect, coefficients=kept)
 
 
-def _admitted(model: LinearModel, state: State, effect: Effect) -> Active:
+def _admitted(state: State, effect: Effect) -> Active:
     """An effect that the campaign states, with the shape that suits the data if it is smooth."""
-    rough = score_all(model, [effect], state)[0]
-    return replace(activate(model, state, effect, refine(model, state, effect, rough)), stated=True)
+    return replace(activate(state, effect, score_of(state, effect)), stated=True)
 
 
 def _left_out(effect: Effect, why: str) -> Barred:

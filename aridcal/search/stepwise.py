@@ -7,14 +7,11 @@ from dataclasses import dataclass, replace
 
 from aridcal.effects.effect import Effect
 from aridcal.search.exchange import regrown
-from aridcal.search.forward import grown
-from aridcal.search.linear_model import LinearModel
 from aridcal.search.ranking import is_small, with_effect, with_flags
-from aridcal.search.scoring import Judgement, judge, refine
-from aridcal.search.screening import score_all
+from aridcal.search.scoring import Judgement, judge, score_of
 from aridcal.search.sets import Choices
 from aridcal.search.state import State, without_effect
-from aridcal.search.tidying import tidied
+from aridcal.search.steps import grown, tidied
 from aridcal.showing import SILENT, Progress
 
 MOST = 14
@@ -40,9 +37,8 @@ class Found:
 
 
 def search(
-    model: LinearModel,
-    library: Sequence[Effect],
     start: State,
+    library: Sequence[Effect],
     most: int = MOST,
     tested: int = 0,
     exchange: bool = True,
@@ -54,9 +50,8 @@ def search(
     several simple ones, and none of these is missed alone then.
 
     Args:
-        model: The linearised model.
-        library: All candidates.
         start: Effects to begin with; see :func:`~aridcal.search.state.solve_state`.
+        library: All candidates.
         most: Effects to add at the most.
         tested: Candidates of which the library holds the most promising ones, if it does.
         exchange: Whether effects may be exchanged for others; else they are only added.
@@ -64,59 +59,49 @@ def search(
     """
     choices = Choices.of(library, tested)
     most += len(start.active)
-    small = is_small(model, library)
+    small = is_small(start.model, library)
     if not (small and exchange):
-        state, rejected = grown(model, library, start, most, small, choices, progress)
-        state = tidied(model, library, state, 1, choices, progress) if exchange else state
+        state, rejected = grown(start, choices, most, small, progress)
+        state = tidied(state, choices, 1, progress) if exchange else state
         return Found(state, rejected, choices.count)
     simple = [e for e in library if len(e.slots) == 1]
-    state = _passes(model, simple, start, most, choices, progress)[0] if simple else start
-    state, rejected = _passes(model, library, state, most, choices, progress)
+    state = _passes(start, choices.only(simple), most, progress)[0] if simple else start
+    state, rejected = _passes(state, choices, most, progress)
     return Found(state, rejected, choices.count)
 
 
-def exchanged(model: LinearModel, library: Sequence[Effect], found: Found, progress: Progress = SILENT) -> Found:
-    """What was found, or a better set that single steps do not lead to; sought where that is cheap.
-
-    Args:
-        model: The linearised model.
-        library: All candidates.
-        found: Of a search of these.
-        progress: Told how many sets are tried.
-    """
-    if not is_small(model, library):
+def exchanged(found: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
+    """What was found among all candidates, or a better set that single steps do not lead to; sought where that is cheap."""
+    state = found.state
+    if not is_small(state.model, library):
         return found
-    choices = Choices.of(library, found.tested)
-    return replace(found, state=regrown(model, library, found.state, choices, progress))
+    return replace(found, state=regrown(state, Choices.of(library, found.tested), progress))
 
 
-def _passes(
-    model: LinearModel, library: Sequence[Effect], state: State, most: int, choices: Choices, progress: Progress
-) -> tuple[State, tuple[Judgement, ...]]:
+def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """Effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
     for _ in range(PASSES):
-        state, rejected = grown(model, library, state, most, True, choices, progress)
-        before = [a.effect for a in state.active]
-        state = tidied(model, library, state, 2, choices, progress)
-        if [a.effect for a in state.active] == before:
+        state, rejected = grown(state, choices, most, True, progress)
+        before = state.effects
+        state = tidied(state, choices, 2, progress)
+        if state.effects == before:
             break
     return state, rejected
 
 
-def confirmed(model: LinearModel, state: State, tested: int, progress: Progress = SILENT) -> State:
+def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
     """The model without those of its effects that would not pass the gates now, tried one after the other.
 
     Args:
-        model: The linearised model.
         state: Solved with effects that were found on other rows or with other weights.
         tested: Candidates among which they stood out.
         progress: Told how many are tried.
     """
-    choices = Choices.of([a.effect for a in state.active], tested)
+    choices = Choices.of(state.effects, tested)
     for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
-        without = without_effect(model, state, effect)
-        found = refine(model, without, effect, score_all(model, [effect], without)[0])
-        keep = not judge(model, without, effect, found, choices).why
-        state = with_effect(model, without, effect, found) if keep else with_flags(model, without)
+        without = without_effect(state, effect)
+        found = score_of(without, effect)
+        keep = not judge(without, effect, found, choices).why
+        state = with_effect(without, effect, found) if keep else with_flags(without)
     return state

@@ -18,11 +18,10 @@ from aridcal.fit.problem import Problem, problem
 from aridcal.fit.residual import things_again
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import Channels, columns
+from aridcal.search.confounded import Tied
 from aridcal.search.diagnose import Diagnosed
 from aridcal.search.noise_tests import Clue
 from aridcal.search.scoring import PARTS, held_back
-from aridcal.search.state import solve_state
-from aridcal.search.tied import Tied
 
 GRID = 160
 """Points of a curve, at least: it is drawn without corners."""
@@ -191,8 +190,8 @@ def _over_time(diagnosed: Diagnosed) -> float | None:
     if not of_time:
         return None
     rest = [a for a in state.active if a is not of_time[-1]]
-    without_it = solve_state(linear, rest, state.solution.sigma, state.used, fixed=True)
-    squares = held_back(linear, without_it, of_time[-1], linear.run[state.used] % PARTS)
+    without_it = state.with_active(rest, fixed=True)
+    squares = held_back(without_it, of_time[-1], linear.run[state.used] % PARTS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
