@@ -290,45 +290,41 @@ class ExtendedModel:
         """
         if len(q) >= MANY:
             return walked(*self._standing(world, tip, q))[1:]
-        end = self._place(world, tip)
-        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-        for segment in self.segments:
-            own, model, data = q[:, segment.columns], segment.model, segment.data
-            last = data.oMi[model.njoints - 1]
-            rotation, translation = last.rotation, last.translation
-            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
-            for i in range(len(q)):
-                pin.forwardKinematics(model, data, own[i])
-                turn[i], shift[i] = rotation, translation
-            if segment.first:
-                R, p = R @ turn, p + turned(R, shift)
-        return placed(R, p, end)
+        return self._row_by_row(q, self._place(world, tip), None)
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
+        """The poses, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         if len(q) >= MANY:
             frames, R, p = walked(*self._standing(world, tip, q))
             return R, p, twists(frames, p)
-        end = self._place(world, tip)
-        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         wide = np.empty((len(q), 6, q.shape[1]))
+        R, p = self._row_by_row(q, self._place(world, tip), wide)
+        move_to(p, wide)
+        return R, p, wide
+
+    def _row_by_row(self, q: np.ndarray, end: pin.SE3, wide: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Poses of the target, at ``end`` on the last joint; if given, ``wide`` becomes the twists of the world's origin."""
+        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for segment in self.segments:
             own, model, data = q[:, segment.columns], segment.model, segment.data
             last = data.oMi[model.njoints - 1]
             rotation, translation, columns = last.rotation, last.translation, data.J
             turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
-            J = wide[:, :, segment.columns]
+            J = None if wide is None else wide[:, :, segment.columns]
             for i in range(len(q)):
-                pin.computeJointJacobians(model, data, own[i])
-                J[i], turn[i], shift[i] = columns, rotation, translation
+                if J is None:
+                    pin.forwardKinematics(model, data, own[i])
+                else:
+                    pin.computeJointJacobians(model, data, own[i])
+                    J[i] = columns
+                turn[i], shift[i] = rotation, translation
             if segment.first:
-                # From the end of the segments before to the world: v = R v + p x R w, w = R w.
-                J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
-                J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
+                if J is not None:
+                    # From the end of the segments before to the world: v = R v + p x R w, w = R w.
+                    J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
+                    J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
                 R, p = R @ turn, p + turned(R, shift)
-        R, p = placed(R, p, end)
-        move_to(p, wide)
-        return R, p, wide
+        return placed(R, p, end)
 
     def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
         """The model with few joints left, bodies included, and the target's placement on its last joint.
