@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
 from aridcal.model.many_rows import MANY, Stepped, stepped, twists, walked
-from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
+from aridcal.model.motions import Motion, joint_model, motion, rank, transform
 from aridcal.robot.chain import Fixed, Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
 from aridcal.robot.kinematics import carried_bodies
@@ -200,24 +200,18 @@ def _sorted(group: Sequence[Slot], joint: Joint | None) -> list[tuple[Slot, Moti
     return [(slot, motion(slot.component, joint)) for slot in found]
 
 
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """A stretch of an extended model's joints, as a Pinocchio model of its own.
 
     Attributes:
-        first: Coordinate of its first joint.
+        columns: Its coordinates among those of the whole.
         model: Its joints, the first one placed where the stretch before ends.
         data: Pinocchio's workspace.
     """
 
-    first: int
+    columns: slice
     model: pin.Model
     data: pin.Data
-
-    @property
-    def columns(self) -> slice:
-        """Its coordinates among those of the whole."""
-        return slice(self.first, self.first + self.model.nv)
 
 
 @dataclass(frozen=True)
@@ -277,7 +271,7 @@ class ExtendedModel:
             model = pin.Model()
             for placement, slot, move in joints[first : first + self._size]:
                 model.addJoint(model.njoints - 1, joint_model(move), placement, slot.name)
-            parts.append(Segment(first, model, model.createData()))
+            parts.append(Segment(slice(first, first + model.nv), model, model.createData()))
         return tuple(parts)
 
     def poses(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray]:
@@ -299,32 +293,32 @@ class ExtendedModel:
             return R, p, twists(frames, p)
         wide = np.empty((len(q), 6, q.shape[1]))
         R, p = self._row_by_row(q, self._place(world, tip), wide)
-        move_to(p, wide)
+        wide[:, :3] += np.cross(wide[:, 3:], p[:, :, None], axis=1)  # of the target, no longer of the world's origin
         return R, p, wide
 
     def _row_by_row(self, q: np.ndarray, end: pin.SE3, wide: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Poses of the target, at ``end`` on the last joint; if given, ``wide`` becomes the twists of the world's origin."""
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-        for segment in self.segments:
-            own, model, data = q[:, segment.columns], segment.model, segment.data
+        for columns, model, data in self.segments:
+            own, first = q[:, columns], columns.start == 0
             last = data.oMi[model.njoints - 1]
-            rotation, translation, columns = last.rotation, last.translation, data.J
-            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
-            J = None if wide is None else wide[:, :, segment.columns]
+            rotation, translation, twists_of_joints = last.rotation, last.translation, data.J
+            turn, shift = (R, p) if first else (np.empty_like(R), np.empty_like(p))
+            J = None if wide is None else wide[:, :, columns]
             for i in range(len(q)):
                 if J is None:
                     pin.forwardKinematics(model, data, own[i])
                 else:
                     pin.computeJointJacobians(model, data, own[i])
-                    J[i] = columns
+                    J[i] = twists_of_joints
                 turn[i], shift[i] = rotation, translation
-            if segment.first:
+            if not first:
                 if J is not None:
                     # From the end of the segments before to the world: v = R v + p x R w, w = R w.
                     J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
                     J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
-                R, p = R @ turn, p + turned(R, shift)
-        return placed(R, p, end)
+                R, p = R @ turn, p + (R @ shift[:, :, None])[:, :, 0]
+        return R @ end.rotation, p + R @ end.translation
 
     def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
         """The model with few joints left, bodies included, and the target's placement on its last joint.
