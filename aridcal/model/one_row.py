@@ -15,7 +15,7 @@ from aridcal.effects.labels import is_label, label_in
 from aridcal.effects.loads import Surroundings, bearing_components, covariate_table, is_load, needs
 from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
-from aridcal.model.model import Model
+from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
 from aridcal.robot.drive import Drive
 
@@ -88,8 +88,8 @@ class OneRowModel:
         robot, locked = model.robot, model.locked(theta, station, target)
         self._model = locked.model
         last = self._model.njoints - 1
-        target = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
-        self._target = self._model.addFrame(target)
+        frame = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
+        self._target = self._model.addFrame(frame)
         self._data = self._model.createData()
         self._size = self._model.nv
         self._carrier = locked.carrier
@@ -121,10 +121,13 @@ class OneRowModel:
         measured = [n for n in names if n not in robot.names and n not in (*loads, *places)]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
         self._measured = [(place[n], n) for n in measured]
-        around = _surroundings_at(model, station)
-        self._loads = _loads(robot, around, [(place[n], n) for n in loads]) if loads else None
+        gravity = _at(station, model.world_base, np.atleast_2d(model.around.gravity))
+        around = replace(model.around, gravity=gravity)
+        of_loads = _LoadsOfArrays if robot.climbs else _Loads
+        self._loads = of_loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         where = [(place[n], TARGET.index(n)) for n in places]
-        self._place = _Place(robot, _target_at(model, at_tip), where) if places else None
+        on_tip = _at(at_tip, model.tip_target, model.around.sights.targets) if places else None
+        self._place = None if on_tip is None else _Place(robot, on_tip, where)
         self._covariates = len(names)
         self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 
@@ -240,17 +243,9 @@ def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndar
     return _Curve(joint, of, start, step, pieces.tolist())
 
 
-def _surroundings_at(model: Model, station: str | None) -> Surroundings:
-    """Gravity in the base of a station."""
-    gravity = np.atleast_2d(model.around.gravity)
-    labels = [label for label, _ in model.world_base]
-    return replace(model.around, gravity=gravity[labels.index(station) if len(gravity) > 1 else 0])
-
-
-def _target_at(model: Model, station: str | None) -> np.ndarray:
-    """Place on the tip, shape (3,), from which it is told where the target is."""
-    labels = [label for label, _ in model.tip_target]
-    return np.asarray(model.around.sights.targets[labels.index(station) if len(labels) > 1 else 0])
+def _at(label: str | None, frames: Frames, values: np.ndarray) -> np.ndarray:
+    """Of values for all frames, or of the only one, that of the frame with a label."""
+    return np.asarray(values[[own for own, _ in frames].index(label) if len(values) > 1 else 0])
 
 
 class _Driven(NamedTuple):
@@ -371,11 +366,6 @@ class _LoadsOfArrays:
         table = covariate_table(self._robot, readings[None], measured, self._around, world, names)
         for place, name in self._wanted:
             z[place] = table[name][0]
-
-
-def _loads(robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> _Loads | _LoadsOfArrays:
-    """What gives the loads that are wanted."""
-    return _LoadsOfArrays(robot, around, wanted) if robot.climbs else _Loads(robot, around, wanted)
 
 
 class _Place:
