@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 
 from aridcal.instruments.descent import Place, View, descend, located, placed, spread
 from aridcal.instruments.distance import PLAIN
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind, Role
-from aridcal.instruments.pixels import ON_TIP, R9, T
+from aridcal.instruments.pixels import ON_TIP, T, rotation_of
 from aridcal.instruments.pose import nearest_rotation
 from aridcal.instruments.setup import Things
 from aridcal.instruments.sighting import sighted
@@ -46,7 +47,6 @@ ROUNDING = 1e-24
 
 MOST = 5000
 """Rows that a start looks at, spread evenly over all: what more of them say is left to the fit."""
-
 
 DIRECTIONS = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]) - 1.0
 DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
@@ -293,20 +293,13 @@ def aligned(role: Role, located: np.ndarray, known: np.ndarray) -> np.ndarray | 
     return _by_planes(here, there) if role.name == "plane" else _by_points(here[:, :3], there[:, :3])
 
 
-def _transform(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Homogeneous matrix of a rotation and a translation."""
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = R, p
-    return made
-
-
 def _by_frames(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
     """From frames: the mean of their rotations, and of what is left of their origins."""
     if not len(here):
         return None
-    turned = there[:, R9].reshape(-1, 3, 3) @ np.swapaxes(here[:, R9].reshape(-1, 3, 3), 1, 2)
+    turned = rotation_of(there) @ np.swapaxes(rotation_of(here), 1, 2)
     R = nearest_rotation(turned.sum(axis=0))
-    return _transform(R, (there[:, T] - here[:, T] @ R.T).mean(axis=0))
+    return pin.SE3(R, (there[:, T] - here[:, T] @ R.T).mean(axis=0)).homogeneous
 
 
 def _by_points(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
@@ -319,7 +312,7 @@ def _by_points(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
     if sizes[1] <= PLAIN * sizes[0] or not H.any():
         return None
     R = nearest_rotation(H)
-    return _transform(R, shown - R @ middle)
+    return pin.SE3(R, shown - R @ middle).homogeneous
 
 
 def _by_planes(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
@@ -328,4 +321,4 @@ def _by_planes(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
         return None
     R = nearest_rotation(there[:, :3].T @ here[:, :3])
     p = np.linalg.lstsq(there[:, :3], there[:, 3] - here[:, 3], rcond=None)[0]
-    return _transform(R, p)
+    return pin.SE3(R, p).homogeneous

@@ -122,16 +122,12 @@ class InverseRows:
             covariates: What effects depend on, shape (n,) each.
             steps: The most there are; none to look at the seeds alone.
         """
-        n, columns = seeds.shape
-        found = Approached(np.empty((n, columns)), np.empty((n, 6)), np.empty((n, 6, columns)))
-        for start in range(0, n, AT_ONCE):
+        parts = []
+        for start in range(0, max(len(seeds), 1), AT_ONCE):
             part = slice(start, start + AT_ONCE)
             own = {name: values[part] for name, values in covariates.items()}
-            for whole, some in zip(
-                found, self._approach(wanted[part], seeds[part], held[part], own, steps), strict=True
-            ):
-                whole[part] = some
-        return found
+            parts.append(self._approach(wanted[part], seeds[part], held[part], own, steps))
+        return Approached(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _approach(
         self,
