@@ -13,10 +13,11 @@ from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.fit.frame_starts import Posed, best_start
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.descent import Place
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, aligned, starts
+from aridcal.instruments.starts import aligned, starts
 from aridcal.model.measured import Measured
 
 MOST_ROWS = 1000
@@ -226,7 +227,7 @@ def _started(
     p: np.ndarray,
     target: pin.SE3,
     known: bool,
-) -> Start:
+) -> Place:
     """The best start from some rows of one block, whose arm stands on a base."""
     turned = base.rotation @ R[rows]
     places = p[rows] @ base.rotation.T + base.translation
@@ -239,7 +240,7 @@ def _started(
     return made[0]
 
 
-def _placed(kind: Kind, start: Start, seen: Measured) -> pin.SE3 | None:
+def _placed(kind: Kind, start: Place, seen: Measured) -> pin.SE3 | None:
     """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
     for role in kind.roles:
         things = seen.instruments.things[role.name]

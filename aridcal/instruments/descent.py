@@ -64,17 +64,17 @@ class View:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a descent stands.
+    """Where a descent stands, and a fit may begin.
 
     Attributes:
         target: T_tip_target, shape (4, 4).
         states: Of all things, (L, P) by role.
-        cost: Mean square of the residual's numbers over the rows that have everything; infinite without any.
+        cost: Mean square of the residual's numbers over the rows that have everything; infinite without any, or if nobody asks.
     """
 
     target: np.ndarray
     states: dict[str, np.ndarray]
-    cost: float
+    cost: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ The arm is nominal and the world is its base frame. A start's worth is the resid
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -53,19 +53,6 @@ DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 """Of gravity, 35 to 55 degrees apart, from which it is sought where the base may stand anyhow."""
 
 
-@dataclass(frozen=True)
-class Start:
-    """Where a fit may begin.
-
-    Attributes:
-        target: T_tip_target, shape (4, 4).
-        states: Of the things, (L, P) by role; NaN for things that rows do not refer to, or cannot tell.
-    """
-
-    target: np.ndarray
-    states: dict[str, np.ndarray]
-
-
 def starts(
     kind: Kind,
     R: np.ndarray,
@@ -75,8 +62,8 @@ def starts(
     things: Mapping[str, Things],
     target: np.ndarray,
     target_known: bool,
-) -> list[Start]:
-    """Candidates for everything unknown, the best first.
+) -> list[Place]:
+    """Where a fit may begin, the best first; states are NaN for things that rows do not refer to, or cannot tell.
 
     Args:
         kind: Of the rows.
@@ -90,16 +77,16 @@ def starts(
     """
     known = {role.name: things[role.name].start for role in kind.roles}
     if not len(p):
-        return [Start(target, known)]
+        return [Place(target, known)]
     if kind.name == "inclination" and not target_known:
         return _levelled(kind, R, p, observed, target)
     if not kind.roles:
-        return [Start(target, {})]
+        return [Place(target, {})]
     free = {role.name: things[role.name].free for role in kind.roles}
     view = View(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
     some = view.select(spread(len(p), MOST))
     found = sighted(some, target, known, STEPS) if kind.name == "pixels" else _by_target(some, target, known)
-    return [Start(place.target, _filled(view, place, known)) for place in _ranked(found)]
+    return [replace(place, states=_filled(view, place, known)) for place in _ranked(found)]
 
 
 def _ranked(places: list[Place]) -> list[Place]:
@@ -242,7 +229,7 @@ LINEAR: dict[str, Levers] = {"point": _touched_levers, "distance": _ranged_lever
 """Target translations that follow from linear equations, from the rows, a hint and the states that are known."""
 
 
-def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray) -> list[Start]:
+def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray) -> list[Place]:
     """Rotations that carry the directions that were read to gravity's in the tip (Kabsch): gravity down, or from the rows too.
 
     What nothing turns (a tip that gravity always meets from one side) stays as the hint has it.
@@ -265,7 +252,7 @@ def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, ta
         spread = float(np.mean(np.sum((felt - gravity) ** 2, axis=1)))
         if spread < least:
             best, least = made, spread
-    return [Start(turned(DOWN), {}), Start(best, {})]
+    return [Place(turned(DOWN), {}), Place(best, {})]
 
 
 def aligned(role: Role, located: np.ndarray, known: np.ndarray) -> np.ndarray | None:

@@ -13,7 +13,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Block, Instruments, Things
-from aridcal.model.many_rows import blocks, stretches
+from aridcal.model.many_rows import blocks
 from aridcal.model.model import Model, Rows
 
 States = Mapping[str, np.ndarray]
@@ -213,7 +213,7 @@ class Measured:
             states, stretch = located(self, R, p, theta)
             return replace(self, states=states).left(R, p, theta) * stretch[:, None]
         found = np.empty((len(self), self.width))
-        for part in stretches(slice(None), len(self)):  # so that all rows' axes are never there at once
+        for part in blocks(len(self)):  # so that all rows' axes are never there at once
             here = self[part]
             found[part] = here.left(*self.model.poses(theta, here.rows), theta)
         return found

@@ -18,7 +18,7 @@ from aridcal.errors import CovariateNotFound, MeasurementError, RobotError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.local import Local, local
-from aridcal.model.many_rows import stretches
+from aridcal.model.many_rows import blocks
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot, Route
 from aridcal.robot.doty import doty_links, links_down
@@ -247,7 +247,9 @@ class Model:
                 R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
             return R, p
         for index, world, tip in self._variants(rows):
-            for part in stretches(index, len(rows)):
+            whole = isinstance(index, slice)
+            for block in blocks(len(rows) if whole else len(index)):
+                part = block if whole else index[block]
                 R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
         return R, p
 
@@ -458,12 +460,11 @@ class Model:
         base = self.world_base if route.start is None else ONE_FRAME
         target = self.tip_target or ONE_FRAME
         model = Model(chain, tuple(self.coefficients[k] for k in own), base, target, self.around)
-        joints = {n: k for k, n in enumerate(robot.names)}
         return _Arm(
             model=model,
             own=own,
             based=np.isin(self._based, own),
-            joints=np.array([joints[name] for name in chain.names], dtype=int),
+            joints=np.array([robot.names.index(name) for name in chain.names], dtype=int),
             columns=np.array(robot.columns_of(chain), dtype=int),
             in_world=route.start is None,
         )

@@ -280,7 +280,27 @@ class _Hung(NamedTuple):
     bearing: set[int]
 
 
-class _Loads:
+class _Tree:
+    """Pinocchio's tree of the nominal robot, which readings set."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._tree = robot.tree.copy()
+        self._data = self._tree.createData()
+        self._q = pin.neutral(self._tree)
+        self._driven = list(_driven(robot))
+
+    def put(self, readings: np.ndarray) -> None:
+        """Set the joints that readings drive."""
+        q = self._q
+        for k, as_unit_vector, factors, offset in self._driven:
+            angle = sum(factor * readings[column] for column, factor in factors) + offset
+            if as_unit_vector:
+                q[k], q[k + 1] = np.cos(angle), np.sin(angle)
+            else:
+                q[k] = angle
+
+
+class _Loads(_Tree):
     """Gravity's and the payloads' pull on the nominal joints: :func:`aridcal.effects.loads.covariate_table` for one row.
 
     There are two roads to the loads because one row must not cost more than its pose: Pinocchio's recursion takes 4 us
@@ -296,13 +316,11 @@ class _Loads:
     """
 
     def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
-        self._tree = tree = robot.tree.copy()
-        self._data = tree.createData()
-        self._q = pin.neutral(tree)
+        super().__init__(robot)
+        tree = self._tree
         pin.framesForwardKinematics(tree, self._data, self._q)
         self._gravity = self._data.oMf[_link(robot, robot.base)].rotation @ around.gravity
         tree.gravity.linear = self._gravity
-        self._driven = list(_driven(robot))
         self._hung = []
         for payload in around.payloads:
             link = tree.frames[_link(robot, payload.on or robot.tip)]
@@ -327,9 +345,8 @@ class _Loads:
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
-        q = self._q
-        _put(q, self._driven, readings)
-        data = self._data
+        self.put(readings)
+        data, q = self._data, self._q
         if self._along or self._across:
             for joint, bare in self._bare.items():
                 self._tree.inertias[joint] = bare
@@ -368,7 +385,7 @@ class _LoadsOfArrays:
             z[place] = table[name][0]
 
 
-class _Place:
+class _Place(_Tree):
     """Where the target is, the arm nominal: :func:`aridcal.effects.sights.target_places` for one row, as of loads.
 
     Args:
@@ -378,18 +395,14 @@ class _Place:
     """
 
     def __init__(self, robot: Robot, target: np.ndarray, wanted: list[tuple[int, int]]) -> None:
-        self._wanted = wanted
-        self._tree = tree = robot.tree.copy()
-        self._data = tree.createData()
-        self._q = pin.neutral(tree)
+        super().__init__(robot)
         self._base, self._tip = _link(robot, robot.base), _link(robot, robot.tip)
-        self._driven = list(_driven(robot))
-        self._target = target
+        self._target, self._wanted = target, wanted
 
     def fill(self, z: np.ndarray, readings: np.ndarray) -> None:
         """Write the coordinates into the covariates z."""
+        self.put(readings)
         tree, data = self._tree, self._data
-        _put(self._q, self._driven, readings)
         pin.forwardKinematics(tree, data, self._q)
         base, tip = (pin.updateFramePlacement(tree, data, frame) for frame in (self._base, self._tip))
         place = base.actInv(tip.act(self._target))
@@ -400,16 +413,6 @@ class _Place:
 def _link(robot: Robot, name: str) -> int:
     """Number of a link's frame in the tree."""
     return int(robot.tree.getFrameId(name, pin.FrameType.BODY))
-
-
-def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None:
-    """Set the tree's joints that readings drive."""
-    for k, as_unit_vector, factors, offset in driven:
-        angle = sum(factor * readings[column] for column, factor in factors) + offset
-        if as_unit_vector:
-            q[k], q[k + 1] = np.cos(angle), np.sin(angle)
-        else:
-            q[k] = angle
 
 
 def _driven(robot: Robot) -> Iterator[_Driven]:
