@@ -139,9 +139,9 @@ def ends_of_sight(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndar
     return np.where(on_tip, p + _times(R, eye), eye), np.where(on_tip, Y, p + _times(R, Y))
 
 
-def _in_front(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which points lie in front of the camera, (n,); and the same points, others put on the axis instead."""
-    front = X[:, 2] > NEAR
+def _in_front(X: np.ndarray, near: float = NEAR, far: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    """Which points lie in front of the camera, between two distances, (n,); and all points, others put on the axis instead."""
+    front = (X[:, 2] > near) & (X[:, 2] < far)
     return front, np.where(front[:, None], X, [0.0, 0.0, 1.0])
 
 
@@ -149,8 +149,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     """Measured minus predicted pixels."""
     X, _, _, _ = in_camera(R, p, states)
     front, seen = _in_front(X)
-    predicted = project(seen, states[0][:, LENS])
-    return np.where(front[:, None], observed - predicted, UNSEEN)
+    return np.where(front[:, None], observed - project(seen, states[0][:, LENS]), UNSEEN)
 
 
 def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
@@ -196,8 +195,7 @@ def in_image(R: np.ndarray, p: np.ndarray, states: States, size: np.ndarray) -> 
         size: Width and height of the images, shape (2,), [px].
     """
     X, _, _, _ = in_camera(R, p, states)
-    front = (X[:, 2] > NEAREST) & (X[:, 2] < FARTHEST)
-    X = np.where(front[:, None], X, [0.0, 0.0, 1.0])
+    front, X = _in_front(X, NEAREST, FARTHEST)
     lens, plain = states[0][:, LENS], states[0][:, LENS].copy()
     plain[:, 4:] = 0.0
     pixel, unbent = project(X, lens), project(X, plain)

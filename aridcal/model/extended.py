@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
-from aridcal.model.many_rows import MANY, Stepped, stepped, twists, walked
+from aridcal.model.many_rows import MANY, Moving, Stepped, stepped, twists, walked
 from aridcal.model.motions import Motion, joint_model, motion, rank, transform
 from aridcal.robot.chain import Fixed, Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
@@ -283,21 +283,27 @@ class ExtendedModel:
             tip: Likewise.
         """
         if len(q) >= MANY:
-            return walked(*self._standing(world, tip, q))[1:]
-        return self._row_by_row(q, self._place(world, tip), None)
+            return self._together(q, world, tip)[1:]
+        return self._row_by_row(q, world, tip, None)
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         if len(q) >= MANY:
-            frames, R, p = walked(*self._standing(world, tip, q))
+            frames, R, p = self._together(q, world, tip)
             return R, p, twists(frames, p)
         wide = np.empty((len(q), 6, q.shape[1]))
-        R, p = self._row_by_row(q, self._place(world, tip), wide)
+        R, p = self._row_by_row(q, world, tip, wide)
         wide[:, :3] += np.cross(wide[:, 3:], p[:, :, None], axis=1)  # of the target, no longer of the world's origin
         return R, p, wide
 
-    def _row_by_row(self, q: np.ndarray, end: pin.SE3, wide: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Poses of the target, at ``end`` on the last joint; if given, ``wide`` becomes the twists of the world's origin."""
+    def _row_by_row(
+        self, q: np.ndarray, world: int, tip: int, wide: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses by Pinocchio; if given, ``wide`` becomes the twists of the world's origin."""
+        changed, end = self._ends(world, tip)
+        for k, placement in changed.items():
+            number, place = divmod(k, self._size)
+            self.segments[number].model.jointPlacements[place + 1] = placement
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for columns, model, data in self.segments:
             own, first = q[:, columns], columns.start == 0
@@ -380,20 +386,12 @@ class ExtendedModel:
             add(slot, motion(slot.component))
         return found, pending
 
-    def _place(self, world: int, tip: int) -> pin.SE3:
-        """Bring one pair of frames into the segments; returns the target's placement on the last joint."""
-        changed, end = self._ends(world, tip)
-        for k, placement in changed.items():
-            number, place = divmod(k, self._size)
-            self.segments[number].model.jointPlacements[place + 1] = placement
-        return end
-
-    def _standing(self, world: int, tip: int, q: np.ndarray) -> tuple[Stepped, np.ndarray, np.ndarray]:
-        """All joints as arrays, with one pair of frames; their coordinates; and the target's placement on the last, (4, 4)."""
+    def _together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[Moving], np.ndarray, np.ndarray]:
+        """The frames that move, and poses, all rows walked at once with one pair of frames."""
         changed, end = self._ends(world, tip)
         for k, placement in changed.items():
             self._stepped.placement[k] = placement.homogeneous
-        return self._stepped, q, end.homogeneous
+        return walked(self._stepped, q, end.homogeneous)
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.

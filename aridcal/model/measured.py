@@ -516,26 +516,23 @@ def located(seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> 
         for k in asked.tolist():
             own = here[thing[here] == k]
             part = replace(seen[own], states=found)
-            free = seen.instruments.things[name].free[k]
-            found[name][k], rank = _one(part, R[own], p[own], theta, name, k, free)
+            found[name][k], rank = _one(part, R[own], p[own], theta, name, k)
             count = float((~part.absent).sum())
             stretch[own] = np.sqrt(count / (count - rank)) if count > rank else np.nan
     return found, stretch
 
 
-def _one(
-    part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int, free: np.ndarray
-) -> tuple[np.ndarray, int]:
+def _one(part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int) -> tuple[np.ndarray, int]:
     """State (P,) of one thing from its rows alone, and how many of its components these tell."""
     number = int(part.block[0])
     kind = part.blocks[number].traits
     first = np.flatnonzero(part.block == number)
     now = [part.states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
     start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), now) if kind.located else None
-    if start is None or not np.isfinite(start).all():
-        return part.states[name][k], int(free.sum())
-    role = part.instruments.things[name].role
+    role, free = part.instruments.things[name].role, part.instruments.things[name].free[k]
     rank = int(free.sum())
+    if start is None or not np.isfinite(start).all():
+        return part.states[name][k], rank
     for _ in range(LOCATING):
         state = part.states[name].copy()
         state[k] = start
