@@ -64,12 +64,12 @@ def distort(xy: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndar
     x_by_x = radial + 2 * xx * slope + 2 * p1 * y + 6 * p2 * x
     y_by_y = radial + 2 * yy * slope + 6 * p1 * y + 2 * p2 * x
     mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
-    by_xy = [[x_by_x, mixed], [mixed, y_by_y]]
-    by_k = [[x * r2, x * r2**2, 2 * both, wide, x * r2**3], [y * r2, y * r2**2, high, 2 * both, y * r2**3]]
-    return np.stack([bent_x, bent_y], -1), *(_matrices(rows) for rows in (by_xy, by_k))
+    by_xy = matrices([[x_by_x, mixed], [mixed, y_by_y]])
+    by_k = matrices([[x * r2, x * r2**2, 2 * both, wide, x * r2**3], [y * r2, y * r2**2, high, 2 * both, y * r2**3]])
+    return np.stack([bent_x, bent_y], -1), by_xy, by_k
 
 
-def _matrices(rows: list[list[np.ndarray]]) -> np.ndarray:
+def matrices(rows: list[list[np.ndarray]]) -> np.ndarray:
     """Matrices, shape (..., m, k), from m rows of k arrays of their elements."""
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aridcal.instruments.camera import INTRINSICS, distort, project, project_jacobian, rays
+from aridcal.instruments.camera import INTRINSICS, distort, matrices, project, project_jacobian, rays
 from aridcal.instruments.channels import PIXEL
 from aridcal.instruments.kind import Kind, Role, Seen, States, added
 
@@ -45,12 +45,13 @@ def rotation_of(state: np.ndarray) -> np.ndarray:
 def turns(angles: np.ndarray) -> np.ndarray:
     """Rz(yaw) Ry(pitch) Rx(roll), as URDF's rpy: shape (n, 3), [rad], to (n, 3, 3)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles).T, np.sin(angles).T
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+    return matrices(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _place_moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:

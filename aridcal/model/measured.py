@@ -466,8 +466,14 @@ def _with(old: Things, new: Things) -> Things:
     added = [k for k, name in enumerate(new.names) if name not in there]
     if not added:
         return old
-    parts = {name: np.vstack([getattr(old, name), getattr(new, name)[added]]) for name in ("start", "free", "std")}
-    return replace(old, names=(*old.names, *(new.names[k] for k in added)), linked=old.linked | new.linked, **parts)
+    return Things(
+        role=old.role,
+        names=(*old.names, *(new.names[k] for k in added)),
+        start=np.vstack([old.start, new.start[added]]),
+        free=np.vstack([old.free, new.free[added]]),
+        std=np.vstack([old.std, new.std[added]]),
+        linked=old.linked | new.linked,
+    )
 
 
 def _moved(model: Model) -> tuple[Moved, ...]:

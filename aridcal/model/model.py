@@ -247,9 +247,8 @@ class Model:
                 R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
             return R, p
         for index, world, tip in self._variants(rows):
-            whole = isinstance(index, slice)
-            for block in blocks(len(rows) if whole else len(index)):
-                part = block if whole else index[block]
+            for block in blocks(len(rows) if isinstance(index, slice) else len(index)):
+                part = block if isinstance(index, slice) else index[block]
                 R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
         return R, p
 
