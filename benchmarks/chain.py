@@ -35,7 +35,7 @@ from aridcal.head.detections import head_things, shot_rows
 from aridcal.head.matching import NotMeasured
 from aridcal.head.pose import Sonars
 from aridcal.head.render import Optics, photograph, read_sonars
-from aridcal.head.seen import Seen, head_of, start_anywhere
+from aridcal.head.seen import head_of, start_anywhere
 from aridcal.head.shots import sight
 from aridcal.head.square import layout
 from aridcal.inputs.campaign import Campaign, FrameSettings
@@ -43,7 +43,7 @@ from aridcal.inputs.dataset import dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.instruments.camera import predict_pixels
-from aridcal.instruments.camera_sonar import Head, carried, predict_ranges
+from aridcal.instruments.camera_sonar import Head, HeadShot, carried, predict_ranges
 from aridcal.model.model import Model
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.viewpoints import draw_views
@@ -187,7 +187,7 @@ def _error(T: np.ndarray, true: np.ndarray) -> np.ndarray:
     return np.sqrt([np.mean(np.sum(off**2, axis=1)), np.mean(np.sum(turn**2, axis=1))])
 
 
-def _drawn(T: np.ndarray, own: int, optics: Optics, head: Head, start: Head, rng: np.random.Generator) -> Seen:
+def _drawn(T: np.ndarray, own: int, optics: Optics, head: Head, start: Head, rng: np.random.Generator) -> HeadShot:
     """Image points of all fiducials in view, with noise of their stated covariances."""
     near = optics.seen(T, own)
     marks = layout({k: optics.squares[k] for k in near}, own)
@@ -200,12 +200,12 @@ def _drawn(T: np.ndarray, own: int, optics: Optics, head: Head, start: Head, rng
     h = read_sonars(near[own], head, rng)
     sonars = Sonars(h, head.positions, head.measures, head.std)
     at = start_anywhere(marks.centres, pixels, sonars, start.intrinsics)
-    return Seen(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, optics.squares[own], at)
+    return HeadShot(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, optics.squares[own], at)
 
 
 def _found(
     T: np.ndarray, own: int, optics: Optics, head: Head, settings: HeadSettings, rng: np.random.Generator
-) -> Seen | None:
+) -> HeadShot | None:
     """The same as the detector finds it in an image."""
     content, h = photograph(T, own, optics, head, rng, GREY)
     image = np.asarray(cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE))
@@ -215,11 +215,11 @@ def _found(
     except NotMeasured:
         return None
     f = seen.fiducials
-    return Seen(f.layout.centres, f.pixels, f.covariances, h, optics.squares[own], f.T_camera_square)
+    return HeadShot(f.layout.centres, f.pixels, f.covariances, h, optics.squares[own], f.T_camera_square)
 
 
 def _oracle(
-    model: Model, seen: tuple[Seen, ...], q: np.ndarray, start: Head, H: np.ndarray
+    model: Model, seen: tuple[HeadShot, ...], q: np.ndarray, start: Head, H: np.ndarray
 ) -> tuple[Model, np.ndarray]:
     """Bundle adjustment: constants, both frames and the head's wrong number from all image points and ranges at once."""
     frames = [Coefficient(where, c) for where in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
@@ -241,7 +241,7 @@ def _oracle(
 
 
 def _whitened(
-    model: Model, theta: np.ndarray, seen: tuple[Seen, ...], q: np.ndarray, head: Head, H: np.ndarray
+    model: Model, theta: np.ndarray, seen: tuple[HeadShot, ...], q: np.ndarray, head: Head, H: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     R, p, J = model.jacobian(theta, model.rows(q))
     blocks, right = [], []

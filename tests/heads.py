@@ -13,14 +13,14 @@ from aridcal.fit.stages import Geometry
 from aridcal.head.detections import shot_rows
 from aridcal.head.pose import Sonars
 from aridcal.head.render import Optics, read_sonars
-from aridcal.head.seen import Seen, head_of, start_anywhere
+from aridcal.head.seen import head_of, start_anywhere
 from aridcal.head.square import layout
 from aridcal.inputs.campaign import Campaign, FrameSettings
 from aridcal.inputs.dataset import Dataset, dataset
 from aridcal.inputs.head_settings import HeadSettings, load_squares
 from aridcal.inputs.yaml_file import load_settings, parse_settings
 from aridcal.instruments.camera import predict_pixels
-from aridcal.instruments.camera_sonar import Head
+from aridcal.instruments.camera_sonar import Head, HeadShot
 from aridcal.model.model import Model
 from aridcal.prepare.viewpoints import draw_views
 from aridcal.robot.chain import load_robot
@@ -66,7 +66,7 @@ def views(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return draw_views(nominal, OPTICS, START.intrinsics, n, np.random.default_rng(seed), "test")
 
 
-def look(T_world_camera: np.ndarray, own: int, head: Head, rng: np.random.Generator, noise: float = 1.0) -> Seen:
+def look(T_world_camera: np.ndarray, own: int, head: Head, rng: np.random.Generator, noise: float = 1.0) -> HeadShot:
     """What one shot sees: fiducials wholly in view, with the noise that is stated of them, or ``noise`` times that."""
     near = OPTICS.seen(T_world_camera, own)
     marks = layout({k: OPTICS.squares[k] for k in near}, own)
@@ -77,7 +77,7 @@ def look(T_world_camera: np.ndarray, own: int, head: Head, rng: np.random.Genera
     pixels = pixels + noise * sigma * rng.standard_normal(pixels.shape)
     h = read_sonars(near[own], replace(head, std=noise * head.std), rng)
     start = start_anywhere(marks.centres, pixels, Sonars(h, head.positions, head.measures, head.std), START.intrinsics)
-    return Seen(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, OPTICS.squares[own], start)
+    return HeadShot(marks.centres, pixels, sigma[:, :, None] ** 2 * np.eye(2), h, OPTICS.squares[own], start)
 
 
 def campaign(more: str = "", rows: str = "relative") -> Campaign:
@@ -97,7 +97,7 @@ class Shots:
 
     campaign: Campaign
     rows: Dataset
-    seen: tuple[Seen, ...]
+    seen: tuple[HeadShot, ...]
 
 
 def shots(

@@ -9,8 +9,8 @@ from heads import MODEL, SETTINGS, START, THETA, calibrated, look, moved, poses,
 
 from aridcal.head.detections import shot_rows
 from aridcal.head.pose import NO_SONARS
-from aridcal.head.seen import Seen, head_of, observed, start_anywhere
-from aridcal.instruments.camera_sonar import CAMERA_SONAR, Head, Reduced, reduced, unpacked
+from aridcal.head.seen import head_of, start_anywhere
+from aridcal.instruments.camera_sonar import CAMERA_SONAR, Head, HeadShot, Reduced, packed, reduced, unpacked
 
 BENT = moved(camera_k1=-0.03, camera_p1=0.001, camera_fx=3.0, sonar_2_bias=2e-3, sonar_4_scale=0.01)
 STEPS = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-4, 1e-6, 1e-6, 1e-4] + [1e-5] * 4 + [1e-4] * 4)
@@ -24,8 +24,8 @@ def taken():
     return T, [look(T[k], int(square[k]), BENT, rng) for k in range(len(q))]
 
 
-def reduce_shots(seen: list[Seen], head: Head, declared: Head = START) -> Reduced:
-    return reduced(unpacked(observed(seen, declared), len(head.positions)), head)
+def reduce_shots(seen: list[HeadShot], head: Head, declared: Head = START) -> Reduced:
+    return reduced(unpacked(packed(seen, declared), len(head.positions)), head)
 
 
 def camera(found: Reduced) -> np.ndarray:
@@ -72,7 +72,7 @@ def test_columns_of_exact_shots_are_central_differences(head):
     q, square = views(4, seed=8)
     T = poses(MODEL, THETA, q)
     seen = [look(T[k], int(square[k]), head, np.random.default_rng(k), noise=0.0) for k in range(len(q))]
-    rows, state = observed(seen, START), np.tile(head.state, (len(q), 1))
+    rows, state = packed(seen, START), np.tile(head.state, (len(q), 1))
     off = [pin.exp6(np.array([1e-3, -2e-3, 1e-3, 0.01, -0.02, 0.015]) * (k + 1)) for k in range(len(q))]
     R = np.array([pin.SE3(t).rotation @ o.rotation for t, o in zip(T, off, strict=True)])
     p = T[:, :3, 3] + [o.translation for o in off]

@@ -7,11 +7,10 @@ import pytest
 from heads import ARID, OPTICS, START
 
 from aridcal.head.pose import doty_axes
-from aridcal.head.seen import Seen, observed
 from aridcal.head.sonar import fit_plane, ranges
 from aridcal.head.square import CENTRES
 from aridcal.instruments.camera import DOTY_OPENCV, on_plane
-from aridcal.instruments.camera_sonar import reduced, unpacked
+from aridcal.instruments.camera_sonar import HeadShot, packed, reduced, unpacked
 from aridcal.model.model import Model
 from aridcal.robot.doty1992 import ORBITER_TO_BASE, pose
 
@@ -74,8 +73,8 @@ def test_the_end_frame_comes_back_from_an_image_and_ranges_by_the_reports_own_st
 def test_the_end_frame_comes_back_from_the_least_squares_on_fiducials_and_ranges():
     pixels, h = shot(CAM_M_CAL_CV)
     near = CAM_M_CAL_CV * pin.exp6(np.array([3e-3, -2e-3, 4e-3, 0.03, 0.02, -0.05]))
-    seen = Seen(POINTS, pixels, np.tile(1e-4 * np.eye(2), (6, 1, 1)), h, ORB_M_CAL.homogeneous, near.homogeneous)
-    found = reduced(unpacked(observed([seen], START), 4), START)
+    seen = HeadShot(POINTS, pixels, np.tile(1e-4 * np.eye(2), (6, 1, 1)), h, ORB_M_CAL.homogeneous, near.homogeneous)
+    found = reduced(unpacked(packed([seen], START), 4), START)
     camera = pin.SE3(found.rotation[0], found.position[0])
     assert_same(ORB_M_0.inverse() * camera * M4_CAM_CV.inverse(), T_0_4, 1e-8)
 

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from aridcal.instruments.catalogue import KINDS as EVERY
 from aridcal.instruments.catalogue import labelled
-from aridcal.instruments.descent import View, descend, placed
+from aridcal.instruments.descent import Place, View, descend, placed
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, aligned, starts
+from aridcal.instruments.starts import aligned, starts
 
 KINDS = {name: kind for name, kind in EVERY.items() if name != "camera_sonar"}  # of images: test_camera_sonar
 
@@ -32,12 +32,12 @@ class Scene:
     things: dict[str, Things]
     target: np.ndarray
 
-    def begun(self, hint: np.ndarray | None = None, target_known: bool = False) -> list[Start]:
+    def begun(self, hint: np.ndarray | None = None, target_known: bool = False) -> list[Place]:
         hint = np.eye(4) if hint is None else hint
         asked = (self.R, self.p, self.observed, self.refers, self.things)
         return starts(KINDS[self.name], *asked, self.target if target_known else hint, target_known)
 
-    def misfit(self, start: Start) -> float:
+    def misfit(self, start: Place) -> float:
         """RMS of the residual's numbers."""
         R, p = self.R @ start.target[:3, :3], self.p + self.R @ start.target[:3, 3]
         states = [start.states[role.name][self.refers[:, j]] for j, role in enumerate(KINDS[self.name].roles)]
@@ -145,7 +145,7 @@ def pictures(seed: int, on_tip: bool, board: bool, shots: int = 15, cameras: int
     return Scene("pixels", R, p, observed, refers, true, unknown("pixels", true, free), np.eye(4))
 
 
-def wrong(made: Scene, start: Start) -> float:
+def wrong(made: Scene, start: Place) -> float:
     """Largest error of the target's translation or of a thing's state; planes may show either side."""
     errors = [] if made.name in ("pixels", "inclination") else [np.abs(start.target[:3, 3] - made.target[:3, 3]).max()]
     if made.name == "inclination":

@@ -11,6 +11,7 @@ from aridcal.effects.catalogue import KINDS, candidates
 from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.effects.kinds import Observed, bumps
 from aridcal.effects.loads import Payload, Surroundings, bearing_components, covariate_table
+from aridcal.effects.sights import Sights
 from aridcal.errors import CovariateNotFound, MeasurementError
 from aridcal.fit.constants import constants
 from aridcal.model.model import Model
@@ -123,6 +124,21 @@ def test_stations_have_their_own_frames_gravity_and_drift() -> None:
     for wrong in ("C", None):
         with pytest.raises(MeasurementError, match="station"):
             OneRowModel(model, theta, wrong)
+
+
+def test_targets_have_their_own_frames_and_places() -> None:
+    rng = np.random.default_rng(4)
+    robot = robots.arid()
+    tip = tuple((label, robots.random_placement(rng)) for label in "AB")
+    drawn = Coefficient("world_base", "x", Basis("linear", ("target.place_x",), (0.0,)))
+    moved = tuple(Coefficient("tip_target", "y", station=label) for label in "AB")
+    around = Surroundings(sights=Sights(np.array([frame.translation for _, frame in tip])))
+    model, theta = Model(robot, (drawn, *moved), tip_target=tip, around=around), np.array([0.1, 0.01, 0.02])
+    q = robots.readings(robot, 2, rng)
+    _, p = model.poses(theta, model.rows(q, target=np.array(["A", "B"])))
+    for k, label in enumerate("AB"):
+        one_row = OneRowModel(model, theta, target=label)
+        np.testing.assert_allclose(one_row.pose(q[k], one_row.effects(q[k], {}))[1], p[k], rtol=0, atol=1e-12)
 
 
 def test_what_an_effect_needs_and_is_not_given_is_named() -> None:

@@ -16,7 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.constants import constants
-from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
+from aridcal.instruments.pose import rotation_vector
+from aridcal.model.inverse_rows import ArmRows, InverseRows
 from aridcal.model.model import Model
 from aridcal.model.one_row import OneRowModel
 from aridcal.programs import branches, correct
@@ -409,8 +410,8 @@ def test_rotation_vectors_are_those_of_pinocchio_at_all_angles() -> None:
     for angle in (0.0, 1e-12, 1e-6, 0.5, 3.0, np.pi - 1e-3, np.pi - 1e-6, np.pi - 1e-9):
         vectors = angle * np.array([v / np.linalg.norm(v) for v in rng.normal(size=(5, 3))])
         R = np.array([pin.exp3(v) for v in vectors])
-        np.testing.assert_allclose([pin.exp3(v) for v in rotation_vectors(R)], R, atol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(rotation_vectors(R), axis=1), angle, atol=1e-7)
+        np.testing.assert_allclose([pin.exp3(v) for v in rotation_vector(R)], R, atol=1e-9)
+        np.testing.assert_allclose(np.linalg.norm(rotation_vector(R), axis=1), angle, atol=1e-7)
 
 
 @pytest.mark.parametrize("kinds", ["RRRRRR", "PRRRRRR", "RPRCR", "PPP", "RRR"])

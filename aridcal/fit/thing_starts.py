@@ -13,10 +13,11 @@ from aridcal.errors import MeasurementError, NotIdentifiable
 from aridcal.fit.frame_starts import Posed, best_start
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
+from aridcal.instruments.descent import Place
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import Start, aligned, starts
+from aridcal.instruments.starts import aligned, starts
 from aridcal.model.measured import Measured
 
 MOST_ROWS = 1000
@@ -69,7 +70,7 @@ class NominalRows:
 
     def start(
         self, own: np.ndarray, kind: Kind, things: Mapping[str, Things], base: pin.SE3, target: pin.SE3, known: bool
-    ) -> Start:
+    ) -> Place:
         """The best start from some rows of one block, whose arm stands on a base; ``known`` if the target is."""
         turned = base.rotation @ self.R[own]
         places = self.p[own] @ base.rotation.T + base.translation
@@ -211,7 +212,7 @@ def _unknown(things: Things) -> Things:
     return replace(things, start=np.full(things.start.shape, np.nan), free=free)
 
 
-def _placed(kind: Kind, start: Start, seen: Measured) -> pin.SE3 | None:
+def _placed(kind: Kind, start: Place, seen: Measured) -> pin.SE3 | None:
     """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
     for role in kind.roles:
         things = seen.instruments.things[role.name]

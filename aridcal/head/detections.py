@@ -20,7 +20,7 @@ from aridcal.head.charuco import corner_places
 from aridcal.head.fiducials import Fiducials
 from aridcal.head.found import Detections, Read
 from aridcal.head.matching import NotMeasured, spans_plane
-from aridcal.head.seen import Seen, check_pose, head_of, observed, start_anywhere
+from aridcal.head.seen import check_pose, head_of, start_anywhere
 from aridcal.head.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.head.square import CENTRES
 from aridcal.inputs.campaign import Campaign, FrameSettings
@@ -30,7 +30,7 @@ from aridcal.inputs.read import load_measurements
 from aridcal.inputs.remarks import Remark
 from aridcal.inputs.row_facts import ROLES
 from aridcal.inputs.tables import Table, read_tables
-from aridcal.instruments.camera_sonar import HEAD, Head, channels
+from aridcal.instruments.camera_sonar import HEAD, Head, HeadShot, channels, packed
 from aridcal.instruments.setup import Block, Instruments, Things
 from aridcal.model.stated_noise import with_stated_noise
 from aridcal.robot.chain import Robot
@@ -83,7 +83,7 @@ def read_shots(
     looking = settings if lens is None else _with_lens(settings, lens)
     known = _Known(_cached(cache), _digests(list(by_line.values()), settings, squares), again=lens is not None)
     found, refused = _fiducials(list(by_line.values()), looking, squares, known, progress)
-    seen: dict[int, Seen] = {}
+    seen: dict[int, HeadShot] = {}
     for line in lines:
         if line in refused:
             continue
@@ -138,7 +138,7 @@ class _Known:
         return lines
 
 
-def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaign) -> Dataset:
+def shot_rows(rows: Dataset, seen: Sequence[HeadShot], head: Head, campaign: Campaign) -> Dataset:
     """Shots as rows of measurements.
 
     Args:
@@ -153,7 +153,7 @@ def shot_rows(rows: Dataset, seen: Sequence[Seen], head: Head, campaign: Campaig
     made = replace(
         rows,
         blocks=(block,),
-        observed=observed(seen, head),
+        observed=packed(seen, head),
         labels=replace(rows.labels, block=np.zeros(n, dtype=int), refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1))),
         instruments=head_things(head),
     )
@@ -255,7 +255,7 @@ def _cached(cache: Path | None) -> dict[int, pd.DataFrame]:
     return {int(own["shot"].iloc[0]): own for own in by_shot}
 
 
-def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> Seen:
+def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> HeadShot:
     """Give fiducials their places on the square that is listed first, and try that they fit a pose.
 
     Raises:
@@ -271,7 +271,7 @@ def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapp
     sigma = lines[["std_u", "std_v"]].to_numpy()
     start = start_anywhere(points, pixels, sonars, settings.camera.intrinsics)
     covariances = sigma[:, :, None] ** 2 * np.eye(2)
-    seen = Seen(points, pixels, covariances, shot.ranges, squares[own], start)
+    seen = HeadShot(points, pixels, covariances, shot.ranges, squares[own], start)
     check_pose(seen, head_of(settings))
     return seen
 

@@ -1,9 +1,6 @@
-"""What was found in one shot, as a row of measurements: see :mod:`aridcal.instruments.camera_sonar`."""
+"""What was found in one shot, and where its pose may start: see :mod:`aridcal.instruments.camera_sonar`."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -13,28 +10,7 @@ from aridcal.head.pose import NO_SONARS, Sonars, fit_pose, start_on_plane
 from aridcal.head.sonar import fit_plane
 from aridcal.inputs.head_settings import HeadSettings
 from aridcal.instruments.camera import rays
-from aridcal.instruments.camera_sonar import Head, packed
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What was found in one shot.
-
-    Attributes:
-        points: Fiducials in the frame of the square, shape (M, 3), [m].
-        pixels: Their images, shape (M, 2).
-        covariances: Of those, shape (M, 2, 2), [px²].
-        ranges: As the sonars read them, shape (S,), [m].
-        T_world_square: Shape (4, 4).
-        T_camera_square: Where a fit of the pose may start, shape (4, 4).
-    """
-
-    points: np.ndarray
-    pixels: np.ndarray
-    covariances: np.ndarray
-    ranges: np.ndarray
-    T_world_square: np.ndarray
-    T_camera_square: np.ndarray
+from aridcal.instruments.camera_sonar import Head, HeadShot
 
 
 def head_of(settings: HeadSettings) -> Head:
@@ -47,20 +23,7 @@ def head_of(settings: HeadSettings) -> Head:
     return Head(np.concatenate([intrinsics, right]), positions, sonars.measures, sonars.std)
 
 
-def observed(shots: Sequence[Seen], head: Head) -> np.ndarray:
-    """N shots of a head, as declared, as rows of numbers, shape (N, W)."""
-    return packed(
-        head,
-        np.array([shot.T_world_square for shot in shots]),
-        np.array([shot.T_camera_square for shot in shots]),
-        np.array([shot.ranges for shot in shots]),
-        [shot.points for shot in shots],
-        [shot.pixels for shot in shots],
-        [shot.covariances for shot in shots],
-    )
-
-
-def check_pose(shot: Seen, head: Head) -> None:
+def check_pose(shot: HeadShot, head: Head) -> None:
     """Try that a shot fits a pose.
 
     Raises:

@@ -13,6 +13,8 @@ from typing import Literal
 
 import numpy as np
 
+from aridcal.instruments.pose import skew
+
 Measures = Literal["perpendicular", "along_axis"]
 """What a sonar reads: the distance of its sensor from the plane, or along the camera's axis."""
 
@@ -37,6 +39,11 @@ def distort(xy: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndar
         x'' = x R + 2 p1 x y + p2 (r² + 2 x²)
         y'' = y R + p1 (r² + 2 y²) + 2 p2 x y
 
+    and with R' = dR / d(r²) = k1 + 2 k2 r² + 3 k3 r⁴ the derivative by the point is symmetric::
+
+        dx''/dx = R + 2 x² R' + 2 p1 y + 6 p2 x        dx''/dy = dy''/dx = 2 x y R' + 2 p1 x + 2 p2 y
+        dy''/dy = R + 2 y² R' + 6 p1 y + 2 p2 x
+
     Args:
         xy: Points x, y, shape (..., 2).
         intrinsics: In the order of ``INTRINSICS``, shape (9,), or of each point (..., 9).
@@ -45,64 +52,32 @@ def distort(xy: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndar
         Distorted points (..., 2), their derivatives by xy (..., 2, 2) and by k1, k2, p1, p2, k3 (..., 2, 5).
     """
     k1, k2, p1, p2, k3 = np.moveaxis(intrinsics[..., 4:], -1, 0)
-    x = xy[..., 0]
-    y = xy[..., 1]
-    r2 = x * x + y * y
+    x, y = xy[..., 0], xy[..., 1]
+    xx, yy, both = x * x, y * y, x * y
+    r2 = xx + yy
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    wide = r2 + 2 * x * x
-    high = r2 + 2 * y * y
-    both = x * y
+    wide, high = r2 + 2 * xx, r2 + 2 * yy
     bent_x = x * radial + 2 * p1 * both + p2 * wide
     bent_y = y * radial + p1 * high + 2 * p2 * both
-    bent = np.stack([bent_x, bent_y], -1)
-    by_xy = _distortion_by_point(x, y, radial, intrinsics)
-    by_k = _distortion_by_coefficients(x, y)
-    return bent, by_xy, by_k
 
-
-def _distortion_by_point(x: np.ndarray, y: np.ndarray, radial: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
-    """Differentiate the distorted points by the normalised ones, shape (..., 2, 2).
-
-    With R' = dR / d(r²) = k1 + 2 k2 r² + 3 k3 r⁴ the matrix is symmetric::
-
-        dx''/dx = R + 2 x² R' + 2 p1 y + 6 p2 x        dx''/dy = dy''/dx = 2 x y R' + 2 p1 x + 2 p2 y
-        dy''/dy = R + 2 y² R' + 6 p1 y + 2 p2 x
-    """
-    k1, k2, p1, p2, k3 = np.moveaxis(intrinsics[..., 4:], -1, 0)
-    xx = x * x
-    yy = y * y
-    r2 = xx + yy
     slope = k1 + r2 * (2 * k2 + 3 * r2 * k3)
-    x_by_x = radial + 2 * xx * slope
-    x_by_x = x_by_x + 2 * p1 * y + 6 * p2 * x
-    y_by_y = radial + 2 * yy * slope
-    y_by_y = y_by_y + 6 * p1 * y + 2 * p2 * x
-    mixed = 2 * x * y * slope
-    mixed = mixed + 2 * p1 * x + 2 * p2 * y
-    of_x = np.stack([x_by_x, mixed], axis=-1)
-    of_y = np.stack([mixed, y_by_y], axis=-1)
-    return np.stack([of_x, of_y], axis=-2)
+    x_by_x = radial + 2 * xx * slope + 2 * p1 * y + 6 * p2 * x
+    y_by_y = radial + 2 * yy * slope + 6 * p1 * y + 2 * p2 * x
+    mixed = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+    by_xy = matrices([[x_by_x, mixed], [mixed, y_by_y]])
+    by_k = matrices([[x * r2, x * r2**2, 2 * both, wide, x * r2**3], [y * r2, y * r2**2, high, 2 * both, y * r2**3]])
+    return np.stack([bent_x, bent_y], -1), by_xy, by_k
 
 
-def _distortion_by_coefficients(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Differentiate the distorted points by k1, k2, p1, p2, k3, shape (..., 2, 5): the factors of each in the formula."""
-    r2 = x * x + y * y
-    both = 2 * x * y
-    r4 = r2**2
-    r6 = r2**3
-    wide = r2 + 2 * x * x
-    high = r2 + 2 * y * y
-    of_x = np.stack([x * r2, x * r4, both, wide, x * r6], axis=-1)
-    of_y = np.stack([y * r2, y * r4, high, both, y * r6], axis=-1)
-    return np.stack([of_x, of_y], axis=-2)
+def matrices(rows: list[list[np.ndarray]]) -> np.ndarray:
+    """Matrices, shape (..., m, k), from m rows of k arrays of their elements."""
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def project(points: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Project points of OpenCV's camera frame, shape (..., 3), [m], to pixels, shape (..., 2)."""
-    xy = points[..., :2] / points[..., 2:]
-    bent, _, _ = distort(xy, intrinsics)
-    focal, middle = intrinsics[..., :2], intrinsics[..., 2:4]
-    return middle + focal * bent
+    bent, _, _ = distort(points[..., :2] / points[..., 2:], intrinsics)
+    return intrinsics[..., 2:4] + intrinsics[..., :2] * bent
 
 
 def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,8 +97,6 @@ def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.nda
     z = points[..., 2]
     xy = points[..., :2] / z[..., None]
     bent, by_xy, by_k = distort(xy, intrinsics)
-    pixels = middle + focal * bent
-
     across = focal[..., None] * by_xy / z[..., None, None]
     along = -np.einsum("...ij,...j->...i", across, xy)
     by_point = np.concatenate([across, along[..., None]], axis=-1)
@@ -131,9 +104,8 @@ def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.nda
     own = np.eye(2)  # fx and cx move u alone, fy and cy move v alone
     by_focal = own * bent[..., None]
     by_middle = np.broadcast_to(own, by_focal.shape)
-    by_lens = focal[..., None] * by_k
-    by_intrinsics = np.concatenate([by_focal, by_middle, by_lens], axis=-1)
-    return pixels, by_point, by_intrinsics
+    by_intrinsics = np.concatenate([by_focal, by_middle, focal[..., None] * by_k], axis=-1)
+    return middle + focal * bent, by_point, by_intrinsics
 
 
 def rays(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
@@ -168,12 +140,9 @@ def on_plane(pixels: np.ndarray, intrinsics: np.ndarray, normal: np.ndarray, dis
     Returns:
         Points in Doty's camera frame, shape (..., 3), [m].
     """
-    xy = rays(pixels, intrinsics)
-    x = xy[..., :1]
-    y = xy[..., 1:]
-    w = np.concatenate([-x, y, np.ones_like(x)], axis=-1)
-    v = normal / distance
-    return -w / (w @ v)[..., None]
+    x, y = np.moveaxis(rays(pixels, intrinsics), -1, 0)
+    w = np.stack([-x, y, np.ones_like(x)], axis=-1)
+    return -w / (w @ (normal / distance))[..., None]
 
 
 def predict_pixels(
@@ -197,16 +166,7 @@ def predict_pixels(
     seen = points @ np.swapaxes(R, -1, -2) + t
     pixels, by_point, by_intrinsics = project_jacobian(seen, intrinsics)
     linear = by_point @ R[..., None, :, :]
-    by_twist = np.empty((*pixels.shape, 6))
-    by_twist[..., :3] = linear
-    for k in range(3):  # (w x P) for w along axis k is P_i e_j - P_j e_i
-        i = (k + 1) % 3
-        j = (k + 2) % 3
-        P_i = points[..., i, None]
-        P_j = points[..., j, None]
-        along_j = P_i * linear[..., j]
-        along_i = P_j * linear[..., i]
-        by_twist[..., 3 + k] = along_j - along_i
+    by_twist = np.concatenate([linear, np.cross(points[..., None, :], linear)], axis=-1)  # (w x P) . l = w . (P x l)
     return pixels, by_twist, by_intrinsics
 
 
@@ -256,10 +216,7 @@ def carried(R_world_square: np.ndarray, p: np.ndarray) -> np.ndarray:
         R_world_square: Shape (n, 3, 3).
         p: Place of the camera, or of what it is mounted on, in the square's frame, shape (n, 3), [m].
     """
-    x, y, z = p.T
     J = np.zeros((len(p), 6, 6))
     J[:, :3, :3] = J[:, 3:, 3:] = -R_world_square
-    nothing = np.zeros_like(x)
-    cross = np.array([[nothing, -z, y], [z, nothing, -x], [-y, x, nothing]]).transpose(2, 0, 1)
-    J[:, :3, 3:] = R_world_square @ cross
+    J[:, :3, 3:] = R_world_square @ skew(p)
     return J

@@ -130,6 +130,27 @@ HEAD = "head"
 
 
 @dataclass(frozen=True)
+class HeadShot:
+    """What a head read in one shot.
+
+    Attributes:
+        points: Fiducials in the frame of the square, shape (M, 3), [m].
+        pixels: Their images, shape (M, 2).
+        covariances: Of those, shape (M, 2, 2), [px²].
+        ranges: As the sonars read them, shape (S,), [m].
+        T_world_square: Shape (4, 4).
+        T_camera_square: Where a fit of the pose may start, shape (4, 4).
+    """
+
+    points: np.ndarray
+    pixels: np.ndarray
+    covariances: np.ndarray
+    ranges: np.ndarray
+    T_world_square: np.ndarray
+    T_camera_square: np.ndarray
+
+
+@dataclass(frozen=True)
 class Shots:
     """What n shots read, unpacked from rows.
 
@@ -154,62 +175,53 @@ class Shots:
     basis: np.ndarray
 
 
-def packed(
-    head: Head,
-    T_world_square: np.ndarray,
-    start: np.ndarray,
-    ranges: np.ndarray,
-    points: Sequence[np.ndarray],
-    pixels: Sequence[np.ndarray],
-    covariances: Sequence[np.ndarray],
-) -> np.ndarray:
-    """What n shots read as rows of numbers, shape (n, W); NaN beyond what each has.
-
-    Args:
-        head: As declared.
-        T_world_square: Shape (n, 4, 4).
-        start: A first T_camera_square, shape (n, 4, 4).
-        ranges: Shape (n, S), [m].
-        points: Of each shot, shape (M, 3), [m].
-        pixels: Of each, shape (M, 2).
-        covariances: Of the pixels, shape (M, 2, 2), [px²].
-    """
-    n, S = ranges.shape
+def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
+    """What n shots of a head read, as declared, as rows of numbers, shape (n, W): see :func:`unpacked`."""
+    n, S = len(shots), len(head.positions)
     size = len(INTRINSICS) + S
-    # As many as the longest has, and enough for a basis of pose and trace.
-    marks = np.full((n, max(-(-(POSE + size - S) // 2), *map(len, points)), PER_MARK), np.nan)
-    for k, (place, pixel, covariance) in enumerate(zip(points, pixels, covariances, strict=True)):
-        lower = np.linalg.inv(np.linalg.cholesky(covariance))
-        marks[k, : len(place)] = np.hstack([place, pixel, lower[:, [0, 1, 1], [0, 0, 1]]])
-    places = [T[:, :3].reshape(n, -1) for T in (T_world_square, start)]
-    count = 2.0 * np.array([[len(own)] for own in points]) + S
-    loose = np.hstack([*places, count, ranges, marks.reshape(n, -1), np.zeros((n, (S + 2 * marks.shape[1]) * size))])
-    shots = unpacked(loose, S)
-    _, B, D = _at_best(shots, head)[1:]
+    enough = -(-(POSE + size - S) // 2)  # for a basis of pose and trace
+    count = max(enough, *(len(shot.points) for shot in shots))
+    own = [
+        [shot.T_world_square[:3].ravel(), shot.T_camera_square[:3].ravel(), [S + 2 * len(shot.points)], shot.ranges]
+        for shot in shots
+    ]
+    marks = [_marks(shot, count).ravel() for shot in shots]
+    read = np.array([np.concatenate([*parts, numbers]) for parts, numbers in zip(own, marks, strict=True)])
+    rows = np.hstack([read, np.zeros((n, (S + 2 * count) * size))])
+    _, _, B, D = _at_best(unpacked(rows, S), head)
     Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :size]], axis=2))
     sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
-    basis = (Q * sign[:, None])[:, :, POSE:]
-    return np.hstack([loose[:, : -basis[0].size], basis.reshape(n, -1)])
+    rows[:, read.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
+    return rows
+
+
+def _marks(shot: HeadShot, count: int) -> np.ndarray:
+    """Numbers of image points, shape (count, 8): NaN beyond those that a shot has."""
+    made = np.full((count, PER_MARK), np.nan)
+    lower = np.linalg.inv(np.linalg.cholesky(shot.covariances))
+    made[: len(lower)] = np.hstack([shot.points, shot.pixels, lower[:, [0, 1, 1], [0, 0, 1]]])
+    return made
 
 
 def unpacked(observed: np.ndarray, sonars: int) -> Shots:
-    """Rows of numbers as shots; see :func:`packed`."""
+    """Rows of numbers as shots: two poses and how many numbers a shot has, ranges, image points, and the basis of its trace."""
     n, size = len(observed), len(INTRINSICS) + sonars
-    ranges, rest = observed[:, PLACES : PLACES + sonars], observed[:, PLACES + sonars :]
-    count = (rest.shape[1] - sonars * size) // (PER_MARK + 2 * size)
-    marks = rest[:, : PER_MARK * count].reshape(n, count, PER_MARK)
+    count = (observed.shape[1] - PLACES - sonars - sonars * size) // (PER_MARK + 2 * size)
+    ends = np.cumsum([12, 12, 1, sonars, PER_MARK * count])
+    world, start, numbers, ranges, marks, basis = np.split(observed, ends, axis=1)
+    marks = marks.reshape(n, count, PER_MARK)
     marks = np.where(np.isnan(marks[:, :, :1]), 0.0, marks)
     whiten = np.zeros((n, count, 2, 2))
     whiten[..., [0, 1, 1], [0, 0, 1]] = marks[..., 5:]
     return Shots(
-        T_world_square=observed[:, :12].reshape(n, 3, 4),
-        start=observed[:, 12:COUNT].reshape(n, 3, 4),
+        T_world_square=world.reshape(n, 3, 4),
+        start=start.reshape(n, 3, 4),
         ranges=ranges,
         points=marks[..., :3],
         pixels=marks[..., 3:5],
         whiten=whiten,
-        count=observed[:, COUNT],
-        basis=rest[:, PER_MARK * count :].reshape(n, sonars + 2 * count, size),
+        count=numbers[:, 0],
+        basis=basis.reshape(n, sonars + 2 * count, size),
     )
 
 

@@ -64,17 +64,17 @@ class View:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a descent stands.
+    """Where a descent stands, and a fit may begin.
 
     Attributes:
         target: T_tip_target, shape (4, 4).
         states: Of all things, (L, P) by role.
-        cost: Mean square of the residual's numbers over the rows that have everything; infinite without any.
+        cost: Mean square of the residual's numbers over the rows that have everything; infinite without any, or if nobody asks.
     """
 
     target: np.ndarray
     states: dict[str, np.ndarray]
-    cost: float
+    cost: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -138,12 +138,6 @@ def _layout(view: View) -> tuple[list[int], int]:
     return first, count
 
 
-def _free_columns(view: View) -> np.ndarray:
-    """Which dense unknowns may move, shape (D,) bool."""
-    dense = [view.free[role.name].ravel() for role in view.kind.roles if not role.many]
-    return np.concatenate([np.full(3, view.moves), *dense]).astype(bool)
-
-
 def _equations(view: View, place: Place) -> _Equations:
     """Accumulate the normal equations at a place."""
     kind, n = view.kind, len(view)
@@ -153,20 +147,15 @@ def _equations(view: View, place: Place) -> _Equations:
     if view.moves:
         J[:, :3] = np.swapaxes(seen.by_twist[:, :, :3] @ view.R, 1, 2)
     B, C, h = np.zeros((0, 0, 0)), np.zeros((0, 0, count)), np.zeros((0, 0))
-    rows = np.arange(n)[:, None]
     for j, role in enumerate(kind.roles):
-        u = len(role.components)
+        own, free = view.refers[:, j], view.free[role.name]
+        L, u = free.shape
+        across = np.swapaxes(seen.by_state[j] * free[own][:, None], 1, 2)
         if not role.many:
-            J[rows, first[j] + u * view.refers[:, j, None] + np.arange(u)] = np.swapaxes(seen.by_state[j], 1, 2)
-    J[:, ~_free_columns(view)] = 0.0
-    for j, role in enumerate(kind.roles):
-        if role.many:
-            own, free = view.refers[:, j], view.free[role.name]
-            L, u = free.shape
-            Jb = seen.by_state[j] * free[own][:, None]
+            J[np.arange(n)[:, None], first[j] + u * own[:, None] + np.arange(u)] = across
+        else:  # the last one: J is complete
             B, C, h = np.zeros((L, u, u)), np.zeros((L, u, count)), np.zeros((L, u))
-            across = np.swapaxes(Jb, 1, 2)
-            np.add.at(B, own, across @ Jb)
+            np.add.at(B, own, across @ np.swapaxes(across, 1, 2))
             np.add.at(C, own, across @ np.swapaxes(J, 1, 2))
             np.add.at(h, own, (across @ seen.residual[:, :, None])[:, :, 0])
     flat = np.swapaxes(J, 1, 2).reshape(-1, count)

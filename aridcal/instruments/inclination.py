@@ -16,12 +16,12 @@ SERIES = 1e-3
 """Sine below which a quotient that tends to 0/0 is taken from its series, whose next term is 1e-12."""
 
 
-def _frame(R: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Axes across the measured direction (n, 2, 3); predicted gravity along those (n, 2) and along the direction (n,)."""
+def _frame(R: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The measured direction (n, 3), axes across it (n, 2, 3); predicted gravity along those (n, 2) and along it (n,)."""
     measured = observed / np.linalg.norm(observed, axis=1, keepdims=True)
     across = np.stack(transverse(measured), axis=1)
     predicted = np.swapaxes(R, 1, 2) @ DOWN
-    return across, np.einsum("nij,nj->ni", across, predicted), np.sum(measured * predicted, axis=1)
+    return measured, across, np.einsum("nij,nj->ni", across, predicted), np.sum(measured * predicted, axis=1)
 
 
 def _angles(across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +37,7 @@ def _angles(across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted direction, [rad]: the angle between them, along two axes across the measured one."""
-    _, across, along = _frame(R, observed)
+    _, _, across, along = _frame(R, observed)
     return -_angles(across, along)[0]
 
 
@@ -50,11 +50,10 @@ def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
 
     A twist w of the target turns gravity as it sees it by R' (g x w).
     """
-    axes, across, along = _frame(R, observed)
+    measured, axes, across, along = _frame(R, observed)
     split, per_sine = _angles(across, along)
     turned = np.swapaxes(R, 1, 2) @ skew(DOWN[None])  # R' [g]
     ds = axes @ turned
-    measured = observed / np.linalg.norm(observed, axis=1, keepdims=True)
     dc = np.einsum("ni,nij->nj", measured, turned)
     sine = np.linalg.norm(across, axis=1)
     near = (sine < SERIES) & (along > 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.instruments.kind import Kind, Seen, States
-from aridcal.instruments.pixels import BOARD, R9, T
+from aridcal.instruments.pixels import BOARD, T, rotation_of
 from aridcal.instruments.pose import nearest_rotation, residuals, turned_back
 
 GRASP = replace(BOARD, name="grasp", many=True)
@@ -18,13 +18,13 @@ GRASP = replace(BOARD, name="grasp", many=True)
 def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """The grasp minus the second link's predicted pose, [m] and [rad], in the first link's axes: (n, 6)."""
     (grasp,) = states
-    return residuals(R, p, grasp[:, T], grasp[:, R9].reshape(-1, 3, 3))
+    return residuals(R, p, grasp[:, T], rotation_of(grasp))
 
 
 def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
     """The same with its derivatives; a grasp's change is in its own axes, so that it turns behind the residual's rotation."""
     residual = _residual(R, p, observed, states)
-    held = states[0][:, R9].reshape(-1, 3, 3)
+    held = rotation_of(states[0])
     by_twist, by_grasp = np.zeros((2, len(p), 6, 6))
     by_twist[:, :3, :3] = np.eye(3)
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aridcal.instruments.camera import INTRINSICS, distort, project, project_jacobian, rays
+from aridcal.instruments.camera import INTRINSICS, distort, matrices, project, project_jacobian, rays
 from aridcal.instruments.channels import PIXEL
 from aridcal.instruments.kind import Kind, Role, Seen, States, added
 
@@ -37,22 +37,27 @@ UNBENT = 1e-6
 """Undistorted points whose distorted ones are further than this from what was seen: the lens model does not reach there."""
 
 
+def rotation_of(state: np.ndarray) -> np.ndarray:
+    """Rotations of cameras or boards, shape (n, 3, 3), in their states."""
+    return state[:, R9].reshape(-1, 3, 3)
+
+
 def turns(angles: np.ndarray) -> np.ndarray:
     """Rz(yaw) Ry(pitch) Rx(roll), as URDF's rpy: shape (n, 3), [rad], to (n, 3, 3)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(angles).T, np.sin(angles).T
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
+    return matrices(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
 
 
 def _place_moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     """T C(x, y, z, roll, pitch, yaw): in its own axes, as the frames of the arm; other numbers of the state stay."""
-    R = state[:, R9].reshape(-1, 3, 3)
-    moved = state.copy()
-    moved[:, T] += np.einsum("nij,nj->ni", R, change[:, :3])
+    R, moved = rotation_of(state), state.copy()
+    moved[:, T] += _times(R, change[:, :3])
     moved[:, R9] = (R @ turns(change[:, 3:6])).reshape(-1, 9)
     return moved
 
@@ -62,8 +67,7 @@ def _place_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     C = turns(change[:, 3:6])
     made = np.zeros((len(state), 6, 6))
     made[:, :3, :3] = np.swapaxes(C, 1, 2)
-    (_, cp, _), (_, sp, _) = np.cos(change[:, 3:6]).T, np.sin(change[:, 3:6]).T
-    cr, sr = np.cos(change[:, 3]), np.sin(change[:, 3])
+    (cr, cp, _), (sr, sp, _) = np.cos(change[:, 3:6]).T, np.sin(change[:, 3:6]).T
     made[:, 3, 3] = 1.0
     made[:, 4, 4], made[:, 5, 4] = cr, -sr  # Rx' y
     made[:, 3, 5], made[:, 4, 5], made[:, 5, 5] = -sp, sr * cp, cr * cp  # Rx' Ry' z
@@ -99,11 +103,6 @@ BOARD = Role("board", PLACE, PLACE_UNITS, 12, _place_moved, _place_slope, PLACE,
 MARKER = Role("marker", ("x", "y", "z"), ("m", "m", "m"), 3, added, None, ("x", "y", "z"), many=True)
 
 
-def _rotation(state: np.ndarray) -> np.ndarray:
-    """Rotation of cameras or boards, shape (n, 3, 3)."""
-    return state[:, R9].reshape(-1, 3, 3)
-
-
 def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Products row by row, (n, 3, 3) and (n, 3) to (n, 3)."""
     return np.einsum("nij,nj->ni", matrices, vectors)
@@ -120,10 +119,10 @@ def in_camera(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndarray,
     """
     camera, board, marker = states
     on_tip = camera[:, ON_TIP] > 0.5
-    Y = board[:, T] + _times(_rotation(board), marker)
+    Y = board[:, T] + _times(rotation_of(board), marker)
     carried = np.where(on_tip[:, None, None], np.swapaxes(R, 1, 2), R)
     Z = np.where(on_tip[:, None], _times(carried, Y - p), _times(carried, Y) + p)
-    back = np.swapaxes(_rotation(camera), 1, 2)
+    back = np.swapaxes(rotation_of(camera), 1, 2)
     return _times(back, Z - camera[:, T]), back @ carried, Y, on_tip
 
 
@@ -137,13 +136,13 @@ def ends_of_sight(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndar
     """
     camera, board, marker = states
     on_tip = (camera[:, ON_TIP] > 0.5)[:, None]
-    eye, Y = camera[:, T], board[:, T] + _times(_rotation(board), marker)
+    eye, Y = camera[:, T], board[:, T] + _times(rotation_of(board), marker)
     return np.where(on_tip, p + _times(R, eye), eye), np.where(on_tip, Y, p + _times(R, Y))
 
 
-def _in_front(X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Which points lie in front of the camera, (n,); and the same points, others put on the axis instead."""
-    front = X[:, 2] > NEAR
+def _in_front(X: np.ndarray, near: float = NEAR, far: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+    """Which points lie in front of the camera, between two distances, (n,); and all points, others put on the axis instead."""
+    front = (X[:, 2] > near) & (X[:, 2] < far)
     return front, np.where(front[:, None], X, [0.0, 0.0, 1.0])
 
 
@@ -151,8 +150,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     """Measured minus predicted pixels."""
     X, _, _, _ = in_camera(R, p, states)
     front, seen = _in_front(X)
-    predicted = project(seen, states[0][:, LENS])
-    return np.where(front[:, None], observed - predicted, UNSEEN)
+    return np.where(front[:, None], observed - project(seen, states[0][:, LENS]), UNSEEN)
 
 
 def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
@@ -163,7 +161,7 @@ def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
     pixels, by_X, by_lens = project_jacobian(seen, camera[:, LENS])
     by_X, by_lens = by_X * front[:, None, None], by_lens * front[:, None, None]
     by_Y = by_X @ carried
-    by_marker = by_Y @ _rotation(board)
+    by_marker = by_Y @ rotation_of(board)
     # a body twist (v, w) of the camera moves X by -v - w x X; one of the board moves the marker by v + w x m
     by_camera = np.concatenate([-by_X, np.cross(by_X, X[:, None]), by_lens], axis=2)
     by_board = np.concatenate([by_marker, np.cross(marker[:, None], by_marker)], axis=2)
@@ -181,7 +179,7 @@ def _by_twist(
 
     What the tip carries moves by v + w x RY in the world; what stands in the world moves by -(v + w x (Y - p)) for the tip.
     """
-    in_world = by_X @ np.swapaxes(_rotation(states[0]), 1, 2)
+    in_world = by_X @ np.swapaxes(rotation_of(states[0]), 1, 2)
     own = on_tip[:, None, None]
     linear = np.where(own, -by_Y, in_world)
     lever = np.where(own[:, :, 0], Y - p, _times(R, Y))
@@ -198,8 +196,7 @@ def in_image(R: np.ndarray, p: np.ndarray, states: States, size: np.ndarray) -> 
         size: Width and height of the images, shape (2,), [px].
     """
     X, _, _, _ = in_camera(R, p, states)
-    front = (X[:, 2] > NEAREST) & (X[:, 2] < FARTHEST)
-    X = np.where(front[:, None], X, [0.0, 0.0, 1.0])
+    front, X = _in_front(X, NEAREST, FARTHEST)
     lens, plain = states[0][:, LENS], states[0][:, LENS].copy()
     plain[:, 4:] = 0.0
     pixel, unbent = project(X, lens), project(X, plain)
@@ -253,18 +250,17 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
         return unknown
     at_origin = (camera[some], board[some], np.zeros((int(some.sum()), 3)))
     b, carried, _, _ = in_camera(R[some], p[some], at_origin)
-    A = across_rays(xy[some], carried @ _rotation(board[some]))
+    A = across_rays(xy[some], carried @ rotation_of(board[some]))
     rest = -across_rays(xy[some], b[:, :, None])[:, :, 0]
     if not (np.isfinite(A).all() and np.isfinite(rest).all()):
         return unknown
     weight = np.ones(len(A))
-    found = unknown
     for _ in range(2):
         U, singular, Vt = np.linalg.svd((A * weight[:, None, None]).reshape(-1, 3), full_matrices=False)
         if singular[-1] < PARALLAX * singular[0]:
             return unknown
         found = Vt.T @ ((U.T @ (rest * weight[:, None]).ravel()) / singular)
-        depth = b[:, 2] + (carried @ _rotation(board[some]))[:, 2] @ found
+        depth = b[:, 2] + (carried @ rotation_of(board[some]))[:, 2] @ found
         if not (depth > NEAR).all():
             return unknown
         weight = depth.min() / depth

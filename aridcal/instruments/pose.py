@@ -47,7 +47,10 @@ def turned(values: np.ndarray, euler: str | None = None) -> Rotation:
 
 
 def rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees."""
+    r"""Axis times angle of rotations, shape (N, 3, 3) to (N, 3); fast where they turn by less than 90 degrees.
+
+    .. math:: \theta a = \frac{\theta}{\sin\theta} \cdot \frac{1}{2} (R - R^T)^\vee, \qquad \cos\theta = (\mathrm{tr} R - 1) / 2
+    """
     vector = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
     sine = np.sqrt(np.einsum("ni,ni->n", vector, vector))
     cosine = 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)

@@ -73,12 +73,8 @@ class _Sight:
     markers: np.ndarray
 
 
-@dataclass(frozen=True)
-class _Solved:
-    """Which cameras and boards have a place already, numbers."""
-
-    cameras: frozenset[int]
-    boards: frozenset[int]
+Settled = dict[str, set[int]]
+"""Which cameras and boards have a place already: numbers, by role."""
 
 
 def sighted(view: View, target: np.ndarray, known: dict[str, np.ndarray], steps: int) -> list[Place]:
@@ -94,28 +90,24 @@ def sighted(view: View, target: np.ndarray, known: dict[str, np.ndarray], steps:
     """
     held = replace(view, free={name: mask.copy() for name, mask in view.free.items()})
     held.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
-    states, solved = _begun(held, known)
+    states, settled = _begun(held, known)
     pairs = [(int(c), int(b)) for c, b in np.unique(view.refers[:, :2], axis=0)]
     found = [placed(held, target, states)]
+    rows = {pair: np.flatnonzero((view.refers[:, :2] == pair).all(axis=1)) for pair in pairs}
     while pairs:
-        counts = {pair: _rows(view, pair) for pair in pairs}
-        pair = max(
-            pairs, key=lambda pair: ((pair[0] in solved.cameras) + (pair[1] in solved.boards), len(counts[pair]))
+        camera, board = pair = max(
+            pairs, key=lambda pair: ((pair[0] in settled["camera"]) + (pair[1] in settled["board"]), len(rows[pair]))
         )
         pairs.remove(pair)
-        found = _pair(held, found[0], solved, pair, counts[pair])
-        solved = _Solved(solved.cameras | {pair[0]}, solved.boards | {pair[1]})
+        found = _pair(held, found[0], settled, pair, rows[pair])
+        settled["camera"].add(camera)
+        settled["board"].add(board)
     hint = placed(held, target, known)
     tried = [hint, *found] if view.complete(known).all() else found
     return [descend(held, place, steps) for place in tried]
 
 
-def _rows(view: View, pair: tuple[int, int]) -> np.ndarray:
-    """Rows of a pair of camera and board."""
-    return np.flatnonzero((view.refers[:, 0] == pair[0]) & (view.refers[:, 1] == pair[1]))
-
-
-def _begun(view: View, known: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], _Solved]:
+def _begun(view: View, known: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Settled]:
     """States to begin with, and what of them is settled.
 
     A board without a place, none of whose markers has one either, is put in the middle of its carrier: they are told from
@@ -131,25 +123,25 @@ def _begun(view: View, known: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarr
             if not whole["board"][b]:
                 states["board"][b] = np.concatenate([np.zeros(3), np.eye(3).ravel()])
     cameras = whole["camera"] & ~view.free["camera"].any(axis=1)
-    return states, _Solved(frozenset(np.flatnonzero(cameras).tolist()), frozenset(np.flatnonzero(boards).tolist()))
+    return states, {"camera": set(np.flatnonzero(cameras).tolist()), "board": set(np.flatnonzero(boards).tolist())}
 
 
-def _pair(view: View, place: Place, solved: _Solved, pair: tuple[int, int], rows: np.ndarray) -> list[Place]:
+def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], rows: np.ndarray) -> list[Place]:
     """Places in which a pair has its own, the best first."""
     camera, board = pair
     if not np.isfinite(place.states["camera"][camera, LENS]).all():
         return [place]
     found = [place]
-    if not (camera in solved.cameras and board in solved.boards):
-        sight = _sight(view, place.states, solved, pair, rows)
+    if not (camera in settled["camera"] and board in settled["board"]):
+        sight = _sight(view, place.states, settled, pair, rows)
         if sight is None:
             return [place]
         own = view.select(sight.rows)
         there = [
             placed(own, place.target, _stated(view, place.states, sight, pair, turn, x))
-            for turn, x in _compared(sight, _turns(place.states["camera"][camera], camera in solved.cameras))
+            for turn, x in _compared(sight, _turns(place.states["camera"][camera], camera in settled["camera"]))
         ]
-        kept = replace(own, free=_only(own.free, pair, solved))
+        kept = replace(own, free=_only(own.free, pair, settled))
         there = [descend(kept, one, FEW) for one in there]
         there = [descend(kept, one, MORE) for one in sorted(there, key=lambda one: one.cost)[:LEFT]]
         found = sorted(there, key=lambda one: one.cost)[:2]
@@ -162,13 +154,12 @@ def _pair(view: View, place: Place, solved: _Solved, pair: tuple[int, int], rows
     return told
 
 
-def _only(free: dict[str, np.ndarray], pair: tuple[int, int], solved: _Solved) -> dict[str, np.ndarray]:
+def _only(free: dict[str, np.ndarray], pair: tuple[int, int], settled: Settled) -> dict[str, np.ndarray]:
     """Masks that let nothing move of what is settled."""
     made = {name: mask.copy() for name, mask in free.items()}
-    if pair[0] in solved.cameras:
-        made["camera"][pair[0]] = False
-    if pair[1] in solved.boards:
-        made["board"][pair[1]] = False
+    for name, number in zip(("camera", "board"), pair, strict=True):
+        if number in settled[name]:
+            made[name][number] = False
     return made
 
 
@@ -192,7 +183,7 @@ def grid() -> np.ndarray:
 
 
 def _sight(
-    view: View, states: dict[str, np.ndarray], solved: _Solved, pair: tuple[int, int], rows: np.ndarray
+    view: View, states: dict[str, np.ndarray], settled: Settled, pair: tuple[int, int], rows: np.ndarray
 ) -> _Sight | None:
     """Equations of the rows on which a pair's rotations are compared; None if there are too few."""
     camera, board = states["camera"][pair[0]], states["board"][pair[1]]
@@ -200,7 +191,7 @@ def _sight(
     sharp = np.isfinite(xy).all(axis=1)
     labels = view.refers[rows, 2]
     told = np.isfinite(states["marker"]).all(axis=1)[labels]
-    board_open = pair[1] not in solved.boards
+    board_open = pair[1] not in settled["board"]
     chosen = sharp & told
     if not board_open and chosen.sum() < ENOUGH_KNOWN:
         count = np.bincount(labels[sharp & ~told], minlength=len(states["marker"]))
@@ -216,7 +207,7 @@ def _sight(
     offset = -np.einsum("nij,nj->ni", carried, p) if on_tip else p.copy()
     marker = np.where(told[:, None], states["marker"][labels], 0.0)
     columns, middle, axes, markers = [], None, np.zeros((3, 0)), np.unique(labels[~told])
-    if pair[0] not in solved.cameras:
+    if pair[0] not in settled["camera"]:
         columns.append(np.broadcast_to(-np.eye(3), (len(rows), 3, 3)))
     else:
         offset -= camera[T]
@@ -231,7 +222,7 @@ def _sight(
     rays = np.column_stack([xy, np.ones(len(xy))])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     linear = np.concatenate(columns, axis=2)
-    return _Sight(rows, rays, offset, linear, pair[0] not in solved.cameras, middle, axes, markers)
+    return _Sight(rows, rays, offset, linear, pair[0] not in settled["camera"], middle, axes, markers)
 
 
 def _shape(marker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

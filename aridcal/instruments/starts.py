@@ -6,15 +6,16 @@ The arm is nominal and the world is its base frame. A start's worth is the resid
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from aridcal.instruments.descent import Place, View, descend, located, placed, spread
 from aridcal.instruments.distance import PLAIN
 from aridcal.instruments.inclination import DOWN
 from aridcal.instruments.kind import Kind, Role
-from aridcal.instruments.pixels import ON_TIP, R9, T
+from aridcal.instruments.pixels import ON_TIP, T, rotation_of
 from aridcal.instruments.pose import nearest_rotation
 from aridcal.instruments.setup import Things
 from aridcal.instruments.sighting import sighted
@@ -47,23 +48,9 @@ ROUNDING = 1e-24
 MOST = 5000
 """Rows that a start looks at, spread evenly over all: what more of them say is left to the fit."""
 
-
 DIRECTIONS = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]) - 1.0
 DIRECTIONS = DIRECTIONS / np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 """Of gravity, 35 to 55 degrees apart, from which it is sought where the base may stand anyhow."""
-
-
-@dataclass(frozen=True)
-class Start:
-    """Where a fit may begin.
-
-    Attributes:
-        target: T_tip_target, shape (4, 4).
-        states: Of the things, (L, P) by role; NaN for things that rows do not refer to, or cannot tell.
-    """
-
-    target: np.ndarray
-    states: dict[str, np.ndarray]
 
 
 def starts(
@@ -75,8 +62,8 @@ def starts(
     things: Mapping[str, Things],
     target: np.ndarray,
     target_known: bool,
-) -> list[Start]:
-    """Candidates for everything unknown, the best first.
+) -> list[Place]:
+    """Where a fit may begin, the best first; states are NaN for things that rows do not refer to, or cannot tell.
 
     Args:
         kind: Of the rows.
@@ -90,16 +77,16 @@ def starts(
     """
     known = {role.name: things[role.name].start for role in kind.roles}
     if not len(p):
-        return [Start(target, known)]
+        return [Place(target, known)]
     if kind.name == "inclination" and not target_known:
         return _levelled(kind, R, p, observed, target)
     if not kind.roles:
-        return [Start(target, {})]
+        return [Place(target, {})]
     free = {role.name: things[role.name].free for role in kind.roles}
     view = View(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
     some = view.select(spread(len(p), MOST))
     found = sighted(some, target, known, STEPS) if kind.name == "pixels" else _by_target(some, target, known)
-    return [Start(place.target, _filled(view, place, known)) for place in _ranked(found)]
+    return [replace(place, states=_filled(view, place, known)) for place in _ranked(found)]
 
 
 def _ranked(places: list[Place]) -> list[Place]:
@@ -242,7 +229,7 @@ LINEAR: dict[str, Levers] = {"point": _touched_levers, "distance": _ranged_lever
 """Target translations that follow from linear equations, from the rows, a hint and the states that are known."""
 
 
-def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray) -> list[Start]:
+def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, target: np.ndarray) -> list[Place]:
     """Rotations that carry the directions that were read to gravity's in the tip (Kabsch): gravity down, or from the rows too.
 
     What nothing turns (a tip that gravity always meets from one side) stays as the hint has it.
@@ -265,7 +252,7 @@ def _levelled(kind: Kind, R: np.ndarray, p: np.ndarray, observed: np.ndarray, ta
         spread = float(np.mean(np.sum((felt - gravity) ** 2, axis=1)))
         if spread < least:
             best, least = made, spread
-    return [Start(turned(DOWN), {}), Start(best, {})]
+    return [Place(turned(DOWN), {}), Place(best, {})]
 
 
 def aligned(role: Role, located: np.ndarray, known: np.ndarray) -> np.ndarray | None:
@@ -293,20 +280,13 @@ def aligned(role: Role, located: np.ndarray, known: np.ndarray) -> np.ndarray | 
     return _by_planes(here, there) if role.name == "plane" else _by_points(here[:, :3], there[:, :3])
 
 
-def _transform(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Homogeneous matrix of a rotation and a translation."""
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = R, p
-    return made
-
-
 def _by_frames(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
     """From frames: the mean of their rotations, and of what is left of their origins."""
     if not len(here):
         return None
-    turned = there[:, R9].reshape(-1, 3, 3) @ np.swapaxes(here[:, R9].reshape(-1, 3, 3), 1, 2)
+    turned = rotation_of(there) @ np.swapaxes(rotation_of(here), 1, 2)
     R = nearest_rotation(turned.sum(axis=0))
-    return _transform(R, (there[:, T] - here[:, T] @ R.T).mean(axis=0))
+    return pin.SE3(R, (there[:, T] - here[:, T] @ R.T).mean(axis=0)).homogeneous
 
 
 def _by_points(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
@@ -319,7 +299,7 @@ def _by_points(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
     if sizes[1] <= PLAIN * sizes[0] or not H.any():
         return None
     R = nearest_rotation(H)
-    return _transform(R, shown - R @ middle)
+    return pin.SE3(R, shown - R @ middle).homogeneous
 
 
 def _by_planes(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
@@ -328,4 +308,4 @@ def _by_planes(here: np.ndarray, there: np.ndarray) -> np.ndarray | None:
         return None
     R = nearest_rotation(there[:, :3].T @ here[:, :3])
     p = np.linalg.lstsq(there[:, :3], there[:, 3] - here[:, 3], rcond=None)[0]
-    return _transform(R, p)
+    return pin.SE3(R, p).homogeneous

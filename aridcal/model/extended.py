@@ -21,8 +21,8 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.effects.effect import LINK_COMPONENTS, Coefficient
-from aridcal.model.many_rows import MANY, Stepped, stepped, twists, walked
-from aridcal.model.motions import Motion, joint_model, motion, move_to, placed, rank, transform, turned
+from aridcal.model.many_rows import MANY, Moving, Stepped, stepped, twists, walked
+from aridcal.model.motions import Motion, joint_model, motion, rank, transform
 from aridcal.robot.chain import Fixed, Joint, Robot
 from aridcal.robot.doty import Link, doty_links, segments
 from aridcal.robot.kinematics import carried_bodies
@@ -200,24 +200,18 @@ def _sorted(group: Sequence[Slot], joint: Joint | None) -> list[tuple[Slot, Moti
     return [(slot, motion(slot.component, joint)) for slot in found]
 
 
-@dataclass(frozen=True)
-class Segment:
+class Segment(NamedTuple):
     """A stretch of an extended model's joints, as a Pinocchio model of its own.
 
     Attributes:
-        first: Coordinate of its first joint.
+        columns: Its coordinates among those of the whole.
         model: Its joints, the first one placed where the stretch before ends.
         data: Pinocchio's workspace.
     """
 
-    first: int
+    columns: slice
     model: pin.Model
     data: pin.Data
-
-    @property
-    def columns(self) -> slice:
-        """Its coordinates among those of the whole."""
-        return slice(self.first, self.first + self.model.nv)
 
 
 @dataclass(frozen=True)
@@ -277,7 +271,7 @@ class ExtendedModel:
             model = pin.Model()
             for placement, slot, move in joints[first : first + self._size]:
                 model.addJoint(model.njoints - 1, joint_model(move), placement, slot.name)
-            parts.append(Segment(first, model, model.createData()))
+            parts.append(Segment(slice(first, first + model.nv), model, model.createData()))
         return tuple(parts)
 
     def poses(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray]:
@@ -289,46 +283,48 @@ class ExtendedModel:
             tip: Likewise.
         """
         if len(q) >= MANY:
-            return walked(*self._standing(world, tip, q))[1:]
-        end = self._place(world, tip)
-        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-        for segment in self.segments:
-            own, model, data = q[:, segment.columns], segment.model, segment.data
-            last = data.oMi[model.njoints - 1]
-            rotation, translation = last.rotation, last.translation
-            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
-            for i in range(len(q)):
-                pin.forwardKinematics(model, data, own[i])
-                turn[i], shift[i] = rotation, translation
-            if segment.first:
-                R, p = R @ turn, p + turned(R, shift)
-        return placed(R, p, end)
+            return self._together(q, world, tip)[1:]
+        return self._row_by_row(q, world, tip, None)
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The same, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
+        """The poses, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
         if len(q) >= MANY:
-            frames, R, p = walked(*self._standing(world, tip, q))
+            frames, R, p = self._together(q, world, tip)
             return R, p, twists(frames, p)
-        end = self._place(world, tip)
-        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         wide = np.empty((len(q), 6, q.shape[1]))
-        for segment in self.segments:
-            own, model, data = q[:, segment.columns], segment.model, segment.data
-            last = data.oMi[model.njoints - 1]
-            rotation, translation, columns = last.rotation, last.translation, data.J
-            turn, shift = (R, p) if segment.first == 0 else (np.empty_like(R), np.empty_like(p))
-            J = wide[:, :, segment.columns]
-            for i in range(len(q)):
-                pin.computeJointJacobians(model, data, own[i])
-                J[i], turn[i], shift[i] = columns, rotation, translation
-            if segment.first:
-                # From the end of the segments before to the world: v = R v + p x R w, w = R w.
-                J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
-                J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
-                R, p = R @ turn, p + turned(R, shift)
-        R, p = placed(R, p, end)
-        move_to(p, wide)
+        R, p = self._row_by_row(q, world, tip, wide)
+        wide[:, :3] += np.cross(wide[:, 3:], p[:, :, None], axis=1)  # of the target, no longer of the world's origin
         return R, p, wide
+
+    def _row_by_row(
+        self, q: np.ndarray, world: int, tip: int, wide: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Poses by Pinocchio; if given, ``wide`` becomes the twists of the world's origin."""
+        changed, end = self._ends(world, tip)
+        for k, placement in changed.items():
+            number, place = divmod(k, self._size)
+            self.segments[number].model.jointPlacements[place + 1] = placement
+        R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        for columns, model, data in self.segments:
+            own, first = q[:, columns], columns.start == 0
+            last = data.oMi[model.njoints - 1]
+            rotation, translation, twists_of_joints = last.rotation, last.translation, data.J
+            turn, shift = (R, p) if first else (np.empty_like(R), np.empty_like(p))
+            J = None if wide is None else wide[:, :, columns]
+            for i in range(len(q)):
+                if J is None:
+                    pin.forwardKinematics(model, data, own[i])
+                else:
+                    pin.computeJointJacobians(model, data, own[i])
+                    J[i] = twists_of_joints
+                turn[i], shift[i] = rotation, translation
+            if not first:
+                if J is not None:
+                    # From the end of the segments before to the world: v = R v + p x R w, w = R w.
+                    J[:, :3], J[:, 3:] = R @ J[:, :3], R @ J[:, 3:]
+                    J[:, :3] += np.cross(p[:, :, None], J[:, 3:], axis=1)
+                R, p = R @ turn, p + (R @ shift[:, :, None])[:, :, 0]
+        return R @ end.rotation, p + R @ end.translation
 
     def locked(self, value: Mapping[Slot, float], moving: set[Slot], world: int, tip: int) -> tuple[pin.Model, pin.SE3]:
         """The model with few joints left, bodies included, and the target's placement on its last joint.
@@ -390,20 +386,12 @@ class ExtendedModel:
             add(slot, motion(slot.component))
         return found, pending
 
-    def _place(self, world: int, tip: int) -> pin.SE3:
-        """Bring one pair of frames into the segments; returns the target's placement on the last joint."""
-        changed, end = self._ends(world, tip)
-        for k, placement in changed.items():
-            number, place = divmod(k, self._size)
-            self.segments[number].model.jointPlacements[place + 1] = placement
-        return end
-
-    def _standing(self, world: int, tip: int, q: np.ndarray) -> tuple[Stepped, np.ndarray, np.ndarray]:
-        """All joints as arrays, with one pair of frames; their coordinates; and the target's placement on the last, (4, 4)."""
+    def _together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[Moving], np.ndarray, np.ndarray]:
+        """The frames that move, and poses, all rows walked at once with one pair of frames."""
         changed, end = self._ends(world, tip)
         for k, placement in changed.items():
             self._stepped.placement[k] = placement.homogeneous
-        return self._stepped, q, end.homogeneous
+        return walked(self._stepped, q, end.homogeneous)
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.

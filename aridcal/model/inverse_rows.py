@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
+from aridcal.instruments.pose import rotation_vector
 from aridcal.model.inverse import FIRST, LAST, TINY
 from aridcal.model.model import Model
 
@@ -35,9 +35,6 @@ STEPS = 18
 
 AT_ONCE = 4_000
 """Rows that are worked on together, so that all of them stay in the cache and memory stays flat."""
-
-HALF_A_TURN = 1e-2
-"""[rad]: so close to half a turn the axis of a rotation is not to be had from the skew part of its matrix."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +101,7 @@ class InverseRows:
         R, p, J = self.arm.looks(readings, covariates)
         e = np.empty((len(readings), 6))
         e[:, :3] = wanted[:, :3, 3] - p
-        e[:, 3:] = self.lever * rotation_vectors(wanted[:, :3, :3] @ R.transpose(0, 2, 1))
+        e[:, 3:] = self.lever * rotation_vector(wanted[:, :3, :3] @ R.transpose(0, 2, 1))
         J[:, 3:] *= self.lever
         return e, J
 
@@ -125,16 +122,12 @@ class InverseRows:
             covariates: What effects depend on, shape (n,) each.
             steps: The most there are; none to look at the seeds alone.
         """
-        n, columns = seeds.shape
-        found = Approached(np.empty((n, columns)), np.empty((n, 6)), np.empty((n, 6, columns)))
-        for start in range(0, n, AT_ONCE):
+        parts = []
+        for start in range(0, max(len(seeds), 1), AT_ONCE):
             part = slice(start, start + AT_ONCE)
             own = {name: values[part] for name, values in covariates.items()}
-            for whole, some in zip(
-                found, self._approach(wanted[part], seeds[part], held[part], own, steps), strict=True
-            ):
-                whole[part] = some
-        return found
+            parts.append(self._approach(wanted[part], seeds[part], held[part], own, steps))
+        return Approached(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _approach(
         self,
@@ -210,17 +203,3 @@ def shortest(J: np.ndarray, e: np.ndarray, damping: np.ndarray) -> np.ndarray:
             solved = np.linalg.solve(H, right)
             step[some] = (solved if few else back @ solved)[:, :, 0]
     return step
-
-
-def rotation_vectors(R: np.ndarray) -> np.ndarray:
-    r"""Rotation vectors of matrices (n, 3, 3), shape (n, 3).
-
-    .. math:: \theta a = \frac{\theta}{\sin\theta} \cdot \frac{1}{2} (R - R^T)^\vee, \qquad \cos\theta = (\mathrm{tr} R - 1) / 2
-    """
-    skew = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    sine = np.sqrt(np.einsum("ni,ni->n", skew, skew))
-    angle = np.arctan2(sine, 0.5 * (np.einsum("nii->n", R) - 1.0))
-    found = skew * (angle / np.where(sine > 0.0, sine, 1.0) + (sine == 0.0))[:, None]
-    for k in np.flatnonzero(angle > np.pi - HALF_A_TURN):
-        found[k] = pin.log3(R[k])
-    return np.asarray(found)

@@ -20,35 +20,18 @@ import pinocchio as pin
 from aridcal.model.motions import Motion
 from aridcal.robot.kinematics import transverse
 
-AT_ONCE = 2_000
-"""Rows whose poses are worked out together: all that is made on the way stays in the cache, and memory stays flat."""
-
-
 MANY = 40
 """Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more for a model,
 of which few questions are asked as a rule."""
 
-
-def stretches(rows: slice | np.ndarray, n: int) -> list[slice | np.ndarray]:
-    """Numbers of some rows, or all n of them, in parts of :data:`AT_ONCE`."""
-    begins = range(0, n if isinstance(rows, slice) else len(rows), AT_ONCE)
-    parts = [slice(start, start + AT_ONCE) for start in begins]
-    return [*parts] if isinstance(rows, slice) else [rows[part] for part in parts]
-
-
 BLOCK = 2048
-"""Rows differentiated at a time: they stay in the cache, and memory stays flat."""
+"""Rows walked or differentiated at a time: all that is made on the way stays in the cache, and memory stays flat."""
 
 
 def blocks(n: int) -> list[slice]:
-    """Stretches of n rows that are differentiated at a time."""
-    begins = starts(n, BLOCK)
+    """Stretches of n rows that are worked on at a time; too few at the end to be walked together go with those before."""
+    begins = range(0, max(n - MANY + 1, min(n, 1)), BLOCK)
     return [slice(start, n if start == begins[-1] else start + BLOCK) for start in begins]
-
-
-def starts(n: int, size: int) -> range:
-    """Where stretches of so many of n rows begin; too few at the end to be walked together go with those before."""
-    return range(0, max(n - MANY + 1, min(n, 1)), size)
 
 
 def few(n: int) -> list[slice]:

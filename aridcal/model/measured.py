@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,7 +13,7 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
 from aridcal.instruments.kind import Kind
 from aridcal.instruments.setup import Block, Instruments, Things
-from aridcal.model.many_rows import blocks, stretches
+from aridcal.model.many_rows import blocks
 from aridcal.model.model import Model, Rows
 
 States = Mapping[str, np.ndarray]
@@ -162,8 +162,7 @@ class Measured:
     def absent(self) -> np.ndarray:
         """Numbers that a row does not measure, shape (N, m) bool."""
         found = np.ones((len(self), self.width), dtype=bool)
-        for b, part in enumerate(self.parts):
-            kind, own = self._of_kind(b)
+        for part, kind, own in self._by_block():
             missing = kind.missing(self.observed[own], part.stop - part.start) if kind.missing else False
             found[own, part] = missing
         return found
@@ -183,15 +182,17 @@ class Measured:
         """The kind of a block, and the numbers of its rows."""
         return self.blocks[number].traits, np.flatnonzero(self.block == number)
 
-    def _of_kind(self, number: int) -> tuple[Kind, np.ndarray | slice]:
-        """The same; of the only block all rows, so that nothing is copied."""
-        return (self.blocks[0].traits, slice(None)) if len(self.blocks) == 1 else self.of_kind(number)
+    def _by_block(self) -> Iterator[tuple[slice, Kind, np.ndarray | slice]]:
+        """Of each block that has rows: columns of its numbers, its kind, its rows (all of the only block: nothing is copied)."""
+        for number, part in enumerate(self.parts):
+            kind, own = self.of_kind(number) if len(self.blocks) > 1 else (self.blocks[0].traits, slice(None))
+            if len(self.block[own]):
+                yield part, kind, own
 
     def many(self) -> tuple[np.ndarray, np.ndarray]:
         """Of each row: number of the role of which there may be many (-1: none), as in :attr:`roles`, and of the thing."""
         role, thing = np.full(len(self), -1), np.full(len(self), -1)
-        for b in range(len(self.blocks)):
-            kind, own = self.of_kind(b)
+        for _, kind, own in self._by_block():
             for k, each in enumerate(kind.roles):
                 if each.many:
                     role[own], thing[own] = self.roles.index(each.name), self.refers[own, k]
@@ -212,7 +213,7 @@ class Measured:
             states, stretch = located(self, R, p, theta)
             return replace(self, states=states).left(R, p, theta) * stretch[:, None]
         found = np.empty((len(self), self.width))
-        for part in stretches(slice(None), len(self)):  # so that all rows' axes are never there at once
+        for part in blocks(len(self)):  # so that all rows' axes are never there at once
             here = self[part]
             found[part] = here.left(*self.model.poses(theta, here.rows), theta)
         return found
@@ -308,11 +309,9 @@ class Measured:
             theta: Values of the model's coefficients.
         """
         r = np.full((len(self), self.width), np.nan)
-        for b, part in enumerate(self.parts):
-            kind, own = self._of_kind(b)
-            if len(self.block[own]):
-                now, _ = self._states(kind, own, theta)
-                r[own, part] = kind.residual(R[own], p[own], kind.numbers(self.observed[own]), now)
+        for part, kind, own in self._by_block():
+            now, _ = self._states(kind, own, theta)
+            r[own, part] = kind.residual(R[own], p[own], kind.numbers(self.observed[own]), now)
         return r
 
     def slopes(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> Slopes:
@@ -322,10 +321,7 @@ class Measured:
         r, twist = np.full((n, m), np.nan), np.zeros((n, m, 6))
         by_thing = np.zeros((n, m, widest))
         by_moved = tuple(np.zeros((n, m)) for _ in self.moved)
-        for b, part in enumerate(self.parts):
-            kind, own = self._of_kind(b)
-            if not len(self.block[own]):
-                continue
+        for part, kind, own in self._by_block():
             now, changes = self._states(kind, own, theta)
             seen = kind.derivatives(R[own], p[own], kind.numbers(self.observed[own]), now)
             r[own, part], twist[own, part] = seen.residual, seen.by_twist
@@ -459,18 +455,15 @@ def joined(known: Instruments, more: Instruments) -> tuple[Instruments, dict[str
     """The things of both, those known first, and the number of each by role and name."""
     things = dict(known.things)
     for role, new in more.things.items():
-        old = known.things.get(role)
-        if old is None:
-            things[role] = new
-        else:
-            there = frozenset(old.names)
-            things[role] = _with(old, new, [k for k, name in enumerate(new.names) if name not in there])
+        things[role] = _with(known.things[role], new) if role in known.things else new
     number = {role: {name: k for k, name in enumerate(t.names)} for role, t in things.items()}
     return replace(known, things=things, ties=known.ties or more.ties), number
 
 
-def _with(old: Things, new: Things, added: Sequence[int]) -> Things:
-    """Things with some of others behind them."""
+def _with(old: Things, new: Things) -> Things:
+    """Things with those of others behind them that they do not have."""
+    there = frozenset(old.names)
+    added = [k for k, name in enumerate(new.names) if name not in there]
     if not added:
         return old
     return Things(
@@ -479,6 +472,7 @@ def _with(old: Things, new: Things, added: Sequence[int]) -> Things:
         start=np.vstack([old.start, new.start[added]]),
         free=np.vstack([old.free, new.free[added]]),
         std=np.vstack([old.std, new.std[added]]),
+        linked=old.linked | new.linked,
     )
 
 
@@ -528,26 +522,23 @@ def located(seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> 
         for k in asked.tolist():
             own = here[thing[here] == k]
             part = replace(seen[own], states=found)
-            free = seen.instruments.things[name].free[k]
-            found[name][k], rank = _one(part, R[own], p[own], theta, name, k, free)
+            found[name][k], rank = _one(part, R[own], p[own], theta, name, k)
             count = float((~part.absent).sum())
             stretch[own] = np.sqrt(count / (count - rank)) if count > rank else np.nan
     return found, stretch
 
 
-def _one(
-    part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int, free: np.ndarray
-) -> tuple[np.ndarray, int]:
+def _one(part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int) -> tuple[np.ndarray, int]:
     """State (P,) of one thing from its rows alone, and how many of its components these tell."""
     number = int(part.block[0])
     kind = part.blocks[number].traits
     first = np.flatnonzero(part.block == number)
     now = [part.states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
     start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), now) if kind.located else None
-    if start is None or not np.isfinite(start).all():
-        return part.states[name][k], int(free.sum())
-    role = part.instruments.things[name].role
+    role, free = part.instruments.things[name].role, part.instruments.things[name].free[k]
     rank = int(free.sum())
+    if start is None or not np.isfinite(start).all():
+        return part.states[name][k], rank
     for _ in range(LOCATING):
         state = part.states[name].copy()
         state[k] = start

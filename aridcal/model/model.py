@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -18,7 +18,7 @@ from aridcal.errors import CovariateNotFound, MeasurementError, RobotError
 from aridcal.instruments.setup import Instruments
 from aridcal.model.extended import ORDER, ExtendedModel, Slot, own_slot
 from aridcal.model.local import Local, local
-from aridcal.model.many_rows import stretches
+from aridcal.model.many_rows import blocks
 from aridcal.model.motions import motion, transform
 from aridcal.robot.chain import Robot, Route
 from aridcal.robot.doty import doty_links, links_down
@@ -29,6 +29,9 @@ SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 ONE_FRAME = ((None, pin.SE3.Identity()),)
 
 Frames = tuple[tuple[str | None, pin.SE3], ...]
+
+_Derived = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Poses of rows: rotations (n, 3, 3) and positions (n, 3), [m]; and twists of the target, (n, 6, k)."""
 
 
 @dataclass(frozen=True)
@@ -102,21 +105,6 @@ class _Arm:
         world = rows.world[some] if self.in_world else np.zeros_like(rows.world[some])
         phi = rows.phi.T[self.based][:, some].T
         return Rows(rows.positions[some][:, self.joints], phi, world, rows.tip[some])
-
-
-@dataclass(frozen=True)
-class _OfFrames:
-    """Constants that hold for one station each.
-
-    Attributes:
-        coefficients: Their indices, shape (S,).
-        frames: Index of the frame of each, shape (S,).
-        frame_of: The same by index.
-    """
-
-    coefficients: np.ndarray
-    frames: np.ndarray
-    frame_of: dict[int, int]
 
 
 @dataclass(frozen=True)
@@ -259,7 +247,8 @@ class Model:
                 R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
             return R, p
         for index, world, tip in self._variants(rows):
-            for part in stretches(index, len(rows)):
+            for block in blocks(len(rows) if isinstance(index, slice) else len(index)):
+                part = block if isinstance(index, slice) else index[block]
                 R[part], p[part] = self._extended.poses(self._configurations(theta, rows[part]), world, tip)
         return R, p
 
@@ -277,11 +266,7 @@ class Model:
             linear [m], then angular [rad], per unit of each coefficient.
         """
         if self.divided:
-            R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, len(theta)))
-            for arm, some in self._by_arm(len(rows), rows.route):
-                R[some], p[some], own = arm.model.jacobian(theta[arm.own], arm.rows(rows, some))
-                _put(J, some, arm.own, own)
-            return R, p, J
+            return self._of_arms(rows, len(theta), lambda arm, own: (arm.own, arm.model.jacobian(theta[arm.own], own)))
         R, p, twists = self.motions(theta, rows)
         return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
 
@@ -299,14 +284,22 @@ class Model:
     def by_readings(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twists of the target that readings cause while effects stay as they are, (N, 6, columns)."""
         if self.divided:
-            R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
-            J = np.zeros((len(rows), 6, len(self.robot.readings)))
-            for arm, some in self._by_arm(len(rows), rows.route):
-                R[some], p[some], own = arm.model.by_readings(theta[arm.own], arm.rows(rows, some))
-                _put(J, some, arm.columns, own)
-            return R, p, J
+            count = len(self.robot.readings)
+            return self._of_arms(
+                rows, count, lambda arm, own: (arm.columns, arm.model.by_readings(theta[arm.own], own))
+            )
         R, p, twists = self.motions(theta, rows)
         return R, p, twists[:, :, self._extended.own] @ self.robot.factors
+
+    def _of_arms(self, rows: Rows, count: int, ask: Callable[[_Arm, Rows], tuple[np.ndarray, _Derived]]) -> _Derived:
+        """Poses and ``count`` columns of twists from what each chain says of its rows, and which of the columns it has."""
+        R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, count))
+        for arm, some in self._by_arm(len(rows), rows.route):
+            columns, (R[some], p[some], own) = ask(arm, arm.rows(rows, some))
+            whole = np.zeros((len(own), 6, count))  # whole rows at a time: it is twice as fast
+            whole[:, :, columns] = own
+            J[some] = whole
+        return R, p, J
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
         """What joints do, or anything linear in that, (N, m, joints), as what coefficients from the first on do, (N, m, K)."""
@@ -316,9 +309,9 @@ class Model:
             # Constants stand before all others as a rule: then no part is copied.
             based = slice(which[0], which[-1] + 1) if which[-1] + 1 - which[0] == len(which) else which
             J[:, :, based] *= rows.phi[:, None, -len(which) :]
-        for own, frame in self._of_frames(rows):
-            asked = own.coefficients >= first
-            J[:, :, own.coefficients[asked] - first] *= own.frames[asked] == frame[:, None, None]
+        for (own, frames), at in self._stationed(rows):
+            asked = own >= first
+            J[:, :, own[asked] - first] *= frames[asked] == at[:, None, None]
         return J
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
@@ -450,8 +443,8 @@ class Model:
                     f"{c.name}: what {c.where} bears depends on where the other limbs are, and nothing says that"
                 )
         sights = self.around.sights
-        known = len(sights.targets) == len(self.tip_target) and bool(here)
-        targets = sights.targets[here] if known else np.zeros((max(1, len(here)), 3))
+        placed = len(sights.targets) == len(self.tip_target) and bool(here)
+        targets = sights.targets[here] if placed else np.zeros((max(1, len(here)), 3))
         around = replace(self.around, sights=replace(sights, targets=targets))
         frames = tuple(self.tip_target[k] for k in here) or ONE_FRAME
         return Model(arm.model.robot, coefficients, arm.model.world_base, frames, around), arm.own[kept]
@@ -466,12 +459,11 @@ class Model:
         base = self.world_base if route.start is None else ONE_FRAME
         target = self.tip_target or ONE_FRAME
         model = Model(chain, tuple(self.coefficients[k] for k in own), base, target, self.around)
-        joints = {n: k for k, n in enumerate(robot.names)}
         return _Arm(
             model=model,
             own=own,
             based=np.isin(self._based, own),
-            joints=np.array([joints[name] for name in chain.names], dtype=int),
+            joints=np.array([robot.names.index(name) for name in chain.names], dtype=int),
             columns=np.array(robot.columns_of(chain), dtype=int),
             in_world=route.start is None,
         )
@@ -556,38 +548,30 @@ class Model:
             spread = np.zeros((len(self._based), len(own)))
             spread[np.arange(len(self._based)), which] = theta[self._based]
             q[:, own] += rows.phi @ spread
-        for at, frame in self._of_frames(rows):
-            for k in at.coefficients[np.isin(at.frames, frame)]:
-                q[:, carrier[k]] += theta[k] * (frame == at.frame_of[k])
+        for (own, frames), at in self._stationed(rows):
+            there = np.isin(frames, at)
+            for k, frame in zip(own[there], frames[there], strict=True):
+                q[:, carrier[k]] += theta[k] * (at == frame)
         return q
 
-    def _of_frames(self, rows: Rows) -> list[tuple[_OfFrames, np.ndarray]]:
-        """Constants of one station each, and the frames of the rows, shape (n,), for either end of the chain."""
-        every = zip(self._stationed, (rows.world, rows.tip), strict=True)
-        return [(own, frame) for own, frame in every if len(own.coefficients)]
+    def _stationed(self, rows: Rows) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+        """Constants of one station each, as :attr:`_of_frames`, and the frames of the rows, (n,), at either end of the chain."""
+        return [(own, at) for own, at in zip(self._of_frames, (rows.world, rows.tip), strict=True) if len(own[0])]
 
     @cached_property
-    def _stationed(self) -> tuple[_OfFrames, _OfFrames]:
-        """Constants of one station each, at the base and at the target."""
+    def _of_frames(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Constants of one station each, at the base and at the target: their numbers and those of their frames, (S,) each."""
         found = []
         for where, frames in (("world_base", self.world_base), ("tip_target", self.tip_target)):
             number = {label: k for k, (label, _) in enumerate(frames)}
             apart = np.setdiff1d(self._varying, self._based).tolist()
             own = [k for k in apart if self.coefficients[k].where == where]
-            at = {k: number[self.coefficients[k].station] for k in own}
-            found.append(_OfFrames(np.array(own, dtype=int), np.array(list(at.values()), dtype=int), at))
-        return found[0], found[1]
+            found.append((np.array(own, int), np.array([number[self.coefficients[k].station] for k in own], int)))
+        return found
 
     def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
         pairs = zip(self._extended.slots, self.coefficients, strict=True)
         return {slot: float(theta[k]) for k, (slot, c) in enumerate(pairs) if c.basis.constant}
-
-
-def _put(into: np.ndarray, rows: slice | np.ndarray, columns: np.ndarray, values: np.ndarray) -> None:
-    """Put values of some rows and columns, shape (n, 6, k), into an array of zeros, whole rows at a time: it is twice as fast."""
-    whole = np.zeros((len(values), *into.shape[1:]))
-    whole[:, :, columns] = values
-    into[rows] = whole
 
 
 def _labels(station: np.ndarray | None, n: int) -> np.ndarray:

@@ -14,7 +14,6 @@ ALIGNED = {
     True: (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ),
 }
 
-
 # A direction whose other two components are smaller is one of its frame's own axes.
 ON_AN_AXIS = 1e-9
 
@@ -58,27 +57,3 @@ def transform(motion: Motion, value: float) -> pin.SE3:
     if turns:
         return pin.SE3(pin.exp3(vector * value), np.zeros(3))
     return pin.SE3(np.eye(3), vector * value)
-
-
-def move_to(p: np.ndarray, J: np.ndarray) -> None:
-    """Turn velocities of the point at the world's origin, as Pinocchio has them, into those at p: v + w x p.
-
-    Args:
-        p: Shape (N, 3), [m].
-        J: Twists (v, w), shape (N, 6, K); changed in place.
-    """
-    x, y, z = p[:, 0, None], p[:, 1, None], p[:, 2, None]
-    wx, wy, wz = J[:, 3], J[:, 4], J[:, 5]
-    J[:, 0] += wy * z - wz * y
-    J[:, 1] += wz * x - wx * z
-    J[:, 2] += wx * y - wy * x
-
-
-def turned(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) turned by rotations (n, 3, 3)."""
-    return np.asarray((R @ p[:, :, None])[:, :, 0])
-
-
-def placed(R: np.ndarray, p: np.ndarray, end: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
-    """Poses of what stands at ``end`` on a joint, from those of the joint, shape (n, 3, 3) and (n, 3)."""
-    return R @ end.rotation, p + R @ end.translation

@@ -15,7 +15,7 @@ from aridcal.effects.labels import is_label, label_in
 from aridcal.effects.loads import Surroundings, bearing_components, covariate_table, is_load, needs
 from aridcal.effects.sights import TARGET
 from aridcal.errors import CovariateNotFound, nearest
-from aridcal.model.model import Model
+from aridcal.model.model import Frames, Model
 from aridcal.robot.chain import Robot
 from aridcal.robot.drive import Drive
 
@@ -88,8 +88,8 @@ class OneRowModel:
         robot, locked = model.robot, model.locked(theta, station, target)
         self._model = locked.model
         last = self._model.njoints - 1
-        target = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
-        self._target = self._model.addFrame(target)
+        frame = pin.Frame("target", last, 0, locked.target, pin.FrameType.OP_FRAME)
+        self._target = self._model.addFrame(frame)
         self._data = self._model.createData()
         self._size = self._model.nv
         self._carrier = locked.carrier
@@ -121,10 +121,13 @@ class OneRowModel:
         measured = [n for n in names if n not in robot.names and n not in (*loads, *places)]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
         self._measured = [(place[n], n) for n in measured]
-        around = _surroundings_at(model, station)
-        self._loads = _loads(robot, around, [(place[n], n) for n in loads]) if loads else None
+        gravity = _at(station, model.world_base, np.atleast_2d(model.around.gravity))
+        around = replace(model.around, gravity=gravity)
+        of_loads = _LoadsOfArrays if robot.climbs else _Loads
+        self._loads = of_loads(robot, around, [(place[n], n) for n in loads]) if loads else None
         where = [(place[n], TARGET.index(n)) for n in places]
-        self._place = _Place(robot, _target_at(model, at_tip), where) if places else None
+        on_tip = _at(at_tip, model.tip_target, model.around.sights.targets) if places else None
+        self._place = None if on_tip is None else _Place(robot, on_tip, where)
         self._covariates = len(names)
         self.needs = needs(robot, (model.coefficients[k].basis for k in free), around)
 
@@ -240,17 +243,9 @@ def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndar
     return _Curve(joint, of, start, step, pieces.tolist())
 
 
-def _surroundings_at(model: Model, station: str | None) -> Surroundings:
-    """Gravity in the base of a station."""
-    gravity = np.atleast_2d(model.around.gravity)
-    labels = [label for label, _ in model.world_base]
-    return replace(model.around, gravity=gravity[labels.index(station) if len(gravity) > 1 else 0])
-
-
-def _target_at(model: Model, station: str | None) -> np.ndarray:
-    """Place on the tip, shape (3,), from which it is told where the target is."""
-    labels = [label for label, _ in model.tip_target]
-    return np.asarray(model.around.sights.targets[labels.index(station) if len(labels) > 1 else 0])
+def _at(label: str | None, frames: Frames, values: np.ndarray) -> np.ndarray:
+    """Of values for all frames, or of the only one, that of the frame with a label."""
+    return np.asarray(values[[own for own, _ in frames].index(label) if len(values) > 1 else 0])
 
 
 class _Driven(NamedTuple):
@@ -285,7 +280,27 @@ class _Hung(NamedTuple):
     bearing: set[int]
 
 
-class _Loads:
+class _Tree:
+    """Pinocchio's tree of the nominal robot, which readings set."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._tree = robot.tree.copy()
+        self._data = self._tree.createData()
+        self._q = pin.neutral(self._tree)
+        self._driven = list(_driven(robot))
+
+    def put(self, readings: np.ndarray) -> None:
+        """Set the joints that readings drive."""
+        q = self._q
+        for k, as_unit_vector, factors, offset in self._driven:
+            angle = sum(factor * readings[column] for column, factor in factors) + offset
+            if as_unit_vector:
+                q[k], q[k + 1] = np.cos(angle), np.sin(angle)
+            else:
+                q[k] = angle
+
+
+class _Loads(_Tree):
     """Gravity's and the payloads' pull on the nominal joints: :func:`aridcal.effects.loads.covariate_table` for one row.
 
     There are two roads to the loads because one row must not cost more than its pose: Pinocchio's recursion takes 4 us
@@ -301,13 +316,11 @@ class _Loads:
     """
 
     def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
-        self._tree = tree = robot.tree.copy()
-        self._data = tree.createData()
-        self._q = pin.neutral(tree)
+        super().__init__(robot)
+        tree = self._tree
         pin.framesForwardKinematics(tree, self._data, self._q)
         self._gravity = self._data.oMf[_link(robot, robot.base)].rotation @ around.gravity
         tree.gravity.linear = self._gravity
-        self._driven = list(_driven(robot))
         self._hung = []
         for payload in around.payloads:
             link = tree.frames[_link(robot, payload.on or robot.tip)]
@@ -332,9 +345,8 @@ class _Loads:
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
-        q = self._q
-        _put(q, self._driven, readings)
-        data = self._data
+        self.put(readings)
+        data, q = self._data, self._q
         if self._along or self._across:
             for joint, bare in self._bare.items():
                 self._tree.inertias[joint] = bare
@@ -373,12 +385,7 @@ class _LoadsOfArrays:
             z[place] = table[name][0]
 
 
-def _loads(robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> _Loads | _LoadsOfArrays:
-    """What gives the loads that are wanted."""
-    return _LoadsOfArrays(robot, around, wanted) if robot.climbs else _Loads(robot, around, wanted)
-
-
-class _Place:
+class _Place(_Tree):
     """Where the target is, the arm nominal: :func:`aridcal.effects.sights.target_places` for one row, as of loads.
 
     Args:
@@ -388,18 +395,14 @@ class _Place:
     """
 
     def __init__(self, robot: Robot, target: np.ndarray, wanted: list[tuple[int, int]]) -> None:
-        self._wanted = wanted
-        self._tree = tree = robot.tree.copy()
-        self._data = tree.createData()
-        self._q = pin.neutral(tree)
+        super().__init__(robot)
         self._base, self._tip = _link(robot, robot.base), _link(robot, robot.tip)
-        self._driven = list(_driven(robot))
-        self._target = target
+        self._target, self._wanted = target, wanted
 
     def fill(self, z: np.ndarray, readings: np.ndarray) -> None:
         """Write the coordinates into the covariates z."""
+        self.put(readings)
         tree, data = self._tree, self._data
-        _put(self._q, self._driven, readings)
         pin.forwardKinematics(tree, data, self._q)
         base, tip = (pin.updateFramePlacement(tree, data, frame) for frame in (self._base, self._tip))
         place = base.actInv(tip.act(self._target))
@@ -410,16 +413,6 @@ class _Place:
 def _link(robot: Robot, name: str) -> int:
     """Number of a link's frame in the tree."""
     return int(robot.tree.getFrameId(name, pin.FrameType.BODY))
-
-
-def _put(q: np.ndarray, driven: Iterable[_Driven], readings: np.ndarray) -> None:
-    """Set the tree's joints that readings drive."""
-    for k, as_unit_vector, factors, offset in driven:
-        angle = sum(factor * readings[column] for column, factor in factors) + offset
-        if as_unit_vector:
-            q[k], q[k + 1] = np.cos(angle), np.sin(angle)
-        else:
-            q[k] = angle
 
 
 def _driven(robot: Robot) -> Iterator[_Driven]:

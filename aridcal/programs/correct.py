@@ -19,8 +19,9 @@ import numpy as np
 from aridcal.errors import CovariateNotFound
 from aridcal.inputs.approach import approach
 from aridcal.inputs.query import QueryRows
+from aridcal.instruments.pose import rotation_vector
 from aridcal.model.inverse import FINEST, UNAVOIDABLE
-from aridcal.model.inverse_rows import ArmRows, InverseRows, rotation_vectors
+from aridcal.model.inverse_rows import ArmRows, InverseRows
 from aridcal.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.programs.corrections import Corrections, joined_corrections, uncorrected
 from aridcal.programs.notations import inverse
@@ -625,5 +626,5 @@ def _by_notation(targets: Sequence[Target]) -> Iterator[tuple[Notation, list[int
 def _apart(A: np.ndarray, B: np.ndarray) -> np.ndarray:
     """How far poses (n, 4, 4) are from each other, [m] and [rad], shape (n, 2)."""
     R = A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3]
-    turn = np.linalg.norm(rotation_vectors(R), axis=1)
+    turn = np.linalg.norm(rotation_vector(R), axis=1)
     return np.stack([np.linalg.norm(A[:, :3, 3] - B[:, :3, 3], axis=1), turn], axis=1)

@@ -24,7 +24,7 @@ from aridcal.fit.problem import unscaled
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.split import held_together
 from aridcal.instruments.channels import norms, spread
-from aridcal.model.many_rows import stretches
+from aridcal.model.many_rows import blocks
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.columns import Columns, columns_of
 
@@ -195,7 +195,7 @@ def _shares(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     which = np.argsort(~acts, axis=1, kind="stable")[:, :most]
     own = np.take_along_axis(J, which[:, None], axis=2)
     found = np.empty((len(J), J.shape[1], J.shape[1]))
-    for some in stretches(slice(None), len(J)):
+    for some in blocks(len(J)):
         between = covariance[which[some, :, None], which[some, None, :]]
         found[some] = own[some] @ between @ own[some].transpose(0, 2, 1)
     return found

@@ -29,7 +29,7 @@ from aridcal.fit.normal_equations import solve
 from aridcal.fit.problem import BLOCK, problem
 from aridcal.fit.residual import linearise
 from aridcal.inputs.dataset import Dataset
-from aridcal.model.many_rows import few, stretches
+from aridcal.model.many_rows import blocks, few
 from aridcal.model.measured import rows_of_data
 from aridcal.model.model import Model, Rows
 from aridcal.trust.seen import CHANNELS, Seen, holes, largest
@@ -223,7 +223,7 @@ class Knowledge:
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
         """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
         places = np.empty((len(readings), 3))
-        for part in stretches(slice(None), len(readings)):
+        for part in blocks(len(readings)):
             rows = self._rows(data, readings[part], like[part])
             axes, origin = self._bases(rows)
             at = self.fit.model.poses(self.fit.theta, rows)[1]
@@ -281,7 +281,7 @@ def target_covariance(
 def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
     """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): of a million rows the whole takes six times as much."""
     std = np.empty((len(rows), 6))
-    for part in stretches(slice(None), len(rows)):
+    for part in blocks(len(rows)):
         variance = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
         std[part] = np.sqrt(np.maximum(variance, 0.0))
     return std
