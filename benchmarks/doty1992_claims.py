@@ -184,7 +184,7 @@ unknowns are the eight angles psi, a pitch beta and a twist alpha of each link.
 ## "A minimum of two measurements": no, three
 
 A pose gives four direction cosines and a height (3-11). The report takes the cosines of two poses: eight equations for
-eight unknowns. But the third and the fourth repeat the first two, so the 8 × 8 system has rank {c.ranks[2][0]}, whatever the poses.
+eight unknowns. But the third and the fourth repeat the first two: the 8 × 8 system has rank {c.ranks[2][0]}, whatever the poses.
 
 | poses | rank of the cosines (rows 1 to 4) | rank with the height (rows 1 to 5) |
 |---|---|---|
@@ -198,7 +198,7 @@ itself (median; psi of 1 mrad, exact kinematics).
 ## The matrix as printed inverts without complaint
 
 18 of 40 printed cells are wrong, mostly columns of two rows in reverse. The printed 8 × 8 matrix has full rank and a
-condition number of {c.printed_condition:.0f} in the median: nothing warns. From exact measurements it returns a psi that is wrong by
+condition number of {c.printed_condition:.0f} in the median: nothing warns. From exact measurements its psi is wrong by
 {wrong:.1f} times psi itself in the median ({filled:.1f} with the blank cell filled in), and by {best:.2f} in the luckiest of
 {SETS:,} sets. A robot that is left alone has an error of 1.
 
@@ -215,9 +215,10 @@ Condition number of E, which says how much noise grows:
 |---|---|---|---|
 {condition_lines}
 
-With {SQUARES} poses anywhere it is {at_28:.0f} ({c.other_lengths:.0f} with lengths of 0.5, 1.2 and 0.9 m). The report plans {SQUARES} squares on
-one strip across the bay door, where the joints move together. For the three strips of `identification/arid-strip` it
-is {_listed(c.strips)}, and {_listed(c.with_rail)} where the rail's zero is unknown, too. All three together have {c.all_strips:.0f}.
+With {SQUARES} poses anywhere it is {at_28:.0f} ({c.other_lengths:.0f} with lengths of 0.5, 1.2 and 0.9 m). The report
+plans {SQUARES} squares on one strip across the bay door, where the joints move together. For the three strips of
+`identification/arid-strip` it is {_listed(c.strips)}, and {_listed(c.with_rail)} where the rail's zero is unknown, too.
+All three together have {c.all_strips:.0f}.
 
 ![Condition number against the number of poses, with the strips]({FOLDER}/condition.svg)
 
