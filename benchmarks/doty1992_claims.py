@@ -173,19 +173,18 @@ def page(c: Claims) -> str:
     return f"""# Claims of 1992, as figures
 
 K. L. Doty's report on the ARID (NASA/ASEE Summer Faculty Fellowship, 1992) says how many measurements a calibration
-needs, and prints the matrix to do it with. This page measures what it says. Every number is computed by
+needs, and prints the matrix E to do it with. Every number here is computed by
 
-    PYTHONPATH=.:tests python benchmarks/doty1992_claims.py -o docs/claims-of-1992.md
+    PYTHONPATH=.:tests python benchmarks/doty1992_claims.py \\
+      -o docs/claims-of-1992.md
 
-from the corrected matrix E of `aridcal/robot/doty1992.py`, for {SETS:,} random sets of poses within the report's
-joint limits. The unknowns are the eight angles psi: a pitch beta and a twist alpha of each of the four links. Lengths,
-base and tool are known.
+from the corrected E ([conventions](conventions.md)), for {SETS:,} random sets of poses within the report's joint limits. The
+unknowns are the eight angles psi, a pitch beta and a twist alpha of each link.
 
 ## "A minimum of two measurements": no, three
 
-A pose gives five numbers (3-11), four direction cosines and a height. The report takes the four cosines of two poses:
-eight equations for eight unknowns. But the third and the fourth repeat the first two at every pose. The 8 × 8 system
-of two poses has rank {c.ranks[2][0]}, whatever the poses: it is singular, always.
+A pose gives four direction cosines and a height (3-11). The report takes the cosines of two poses: eight equations for
+eight unknowns. But the third and the fourth repeat the first two: the 8 × 8 system has rank {c.ranks[2][0]}, whatever the poses.
 
 | poses | rank of the cosines (rows 1 to 4) | rank with the height (rows 1 to 5) |
 |---|---|---|
@@ -196,37 +195,34 @@ itself (median; psi of 1 mrad, exact kinematics).
 
 ![Singular values of two poses: as it is, four of eight are zero; as printed, none is]({FOLDER}/two-poses.svg)
 
-## The trap: the matrix as printed inverts without complaint
+## The matrix as printed inverts without complaint
 
-The report prints the columns of two rows in reverse, with slips of sign and a blank: 18 of 40 cells are wrong. This
-hides that the system is singular. The printed 8 × 8 matrix has full rank and a harmless condition number,
-{c.printed_condition:.0f} in the median. Nothing warns. From exact measurements it returns a psi that is wrong by
-{wrong:.1f} times psi itself in the median ({filled:.1f} with the blank filled in), and by {best:.2f} in the luckiest of
-{SETS:,} sets. A robot "calibrated" so is worse than one that is left alone, whose error is 1.
+18 of 40 printed cells are wrong, mostly columns of two rows in reverse. The printed 8 × 8 matrix has full rank and a
+condition number of {c.printed_condition:.0f} in the median: nothing warns. From exact measurements its psi is wrong by
+{wrong:.1f} times psi itself in the median ({filled:.1f} with the blank cell filled in), and by {best:.2f} in the luckiest of
+{SETS:,} sets. A robot that is left alone has an error of 1.
 
 ![Error of psi from exact measurements, by the printed matrix; left alone it is 1]({FOLDER}/printed-matrix.svg)
 
-So a condition number shows how errors grow, not that a matrix is right. What shows that is a second road: E is tested
-against derivatives of the exact kinematics.
+A condition number shows how errors grow, not that a matrix is right. So E is tested against derivatives of the exact
+kinematics.
 
 ## How many poses, and where
 
-Three poses are enough in principle. In practice the condition number says how much noise grows, and chance decides
-with few poses:
+Condition number of E, which says how much noise grows:
 
 | poses, anywhere | 10 % of sets below | median | 90 % below |
 |---|---|---|---|
 {condition_lines}
 
-With {SQUARES} poses anywhere in the joint ranges it is {at_28:.0f} ({c.other_lengths:.0f} with lengths of 0.5, 1.2 and
-0.9 m), and more change little. The report's own plan is {SQUARES} squares on one strip across the bay door. Along a
-strip the joints move together, along one curve. For the three strips of `identification/arid-strip` the condition
-number is {_listed(c.strips)}, and {_listed(c.with_rail)} where the rail's zero is unknown, too. More strips along the
-rail do not help: all three together have {c.all_strips:.0f}.
+With {SQUARES} poses anywhere it is {at_28:.0f} ({c.other_lengths:.0f} with lengths of 0.5, 1.2 and 0.9 m). The report
+plans {SQUARES} squares on one strip across the bay door, where the joints move together. For the three strips of
+`identification/arid-strip` it is {_listed(c.strips)}, and {_listed(c.with_rail)} where the rail's zero is unknown, too.
+All three together have {c.all_strips:.0f}.
 
 ![Condition number against the number of poses, with the strips]({FOLDER}/condition.svg)
 
-What that means with a good camera head (0.5 mrad, 0.25 mm), as 1σ of psi:
+With a good camera head (0.5 mrad, 0.25 mm), 1σ of psi:
 
 | poses | best angle [mrad] | worst angle [mrad] |
 |---|---|---|
