@@ -102,4 +102,4 @@ FANUC = Notation(*_euler("ZYX", reverse=True), (3,) * 6)
 """X Y Z W P R: millimetres; R about z, P about the new y, W about the newest x, degrees. The controller writes three digits."""
 
 YASKAWA = Notation(*_euler("ZYX", reverse=True), (3,) * 3 + (4,) * 3)
-"""X Y Z Rx Ry Rz: millimetres; Rz about z, Ry about the new y, Rx about the newest x, degrees. Controllers write so many digits."""
+"""X Y Z Rx Ry Rz: millimetres; Rz about z, Ry about the new y, Rx about the newest x, degrees; three and four digits."""
