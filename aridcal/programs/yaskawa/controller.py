@@ -16,6 +16,9 @@ USER = re.compile(rf"^[ \t]*////BUSER[ \t]+{SIX}[ \t]*\r?$", re.MULTILINE)
 TOOL = re.compile(rf"\A(?:[^\n]*\n){{1,2}}?[ \t]*{SIX}[ \t]*\r?$", re.MULTILINE)
 """The first numbers of a tool, behind its number and its name."""
 
+OTHER_GROUP = re.compile(r"^[ \t]*///GROUP[ \t]+0*(?!1\b)\d", re.MULTILINE)
+"""A user frame that is not robot 1's."""
+
 ENTRY = re.compile(r"^[ \t]*//(UFRAME|TOOL)[ \t]+(\d{1,3})[ \t]*\r?$", re.MULTILINE)
 
 
@@ -34,7 +37,8 @@ def _entries(text: str, kind: str, numbers: re.Pattern[str]) -> dict[int, np.nda
     ends = [*(entry.start() for entry in entries), len(text)][1:]
     found: dict[int, np.ndarray] = {}
     for entry, end in zip(entries, ends, strict=True):
-        match = numbers.search(text[entry.start() : end])
-        if entry.group(1) == kind and match is not None:
+        own = text[entry.start() : end]
+        match = numbers.search(own)
+        if entry.group(1) == kind and match is not None and OTHER_GROUP.search(own) is None:
             found[int(entry.group(2))] = YASKAWA.pose(np.array([float(n) for n in match.groups()]))
     return found

@@ -37,6 +37,11 @@ CLOSES = {"ENDIF": "IF", "ENDWHILE": "WHILE", "NEXT": "FOR", "ENDSWITCH": "SWITC
 
 PARTS = {"ELSEIF": "IF", "ELSEIFEXP": "IF", "ELSE": "IF", "CASE": "SWITCH", "DEFAULT": "SWITCH"}
 
+STATIONS, BASES = ("EC", "EX", "LEX"), ("BC", "BP", "LBP")
+"""What positions of stations and of bases begin with."""
+
+OTHERS = (*STATIONS, *BASES)
+
 LAST = ("ELSE", "DEFAULT")
 """Parts that are taken where no other is."""
 
@@ -232,9 +237,11 @@ class _Reader:
     def _move(self, move: re.Match[str], instruction: Instruction) -> list[Node]:
         start = instruction.start
         places = move.group("places").split()
-        own = [place for place in places if re.match(r"(?:C|L?PX?)[\d\[]", place)]
+        own = [place for place in places if not place.startswith(OTHERS)]
+        if places and all(place.startswith(STATIONS) for place in places) and not move.group("options").count("+"):
+            return []
         why = "another group leads it (SMOV)" if move.group("how").startswith("S") else ""
-        if any(place.startswith(("BC", "BP", "LBP")) for place in places):
+        if any(place.startswith(BASES) for place in places):
             why = why or "the base of the robot moves with it"
         if len(own) != 1:
             why = why or ("it says no position" if not own else "it says two positions")
@@ -244,7 +251,7 @@ class _Reader:
         if why or not _short(place.lstrip("CP")):
             self._note(move.group("places"), start)
         self.flow.variables |= {int(n) for n in VARIABLE.findall(place) if _short(n)}
-        if "P" in move.group("options"):
+        if "P" in move.group("options") or "+" in move.group("options"):
             self._note(move.group("options"), start)
         behind: list[Node] = []
         text, at = move.group("options"), 1

@@ -28,13 +28,13 @@ HARMLESS = (
     r"GETFILE\b.*",
     r"SETFILE (?:WEV|ASF|AEF)#.*",
     # speeds, points of reference
-    r"(?:SPEED|REFP|ACCSET)\b.*",
+    r"(?:SPEED|REFP)\b.*",
     # processes along the way
     r"ARC(?:ON|OF|SET|CTS|CTE|CUR|VOL)\b.*",
     r"WV(?:ON|OF|ADJ)\b.*",
     r"(?:VWELD|AWELD|WIRINC|WIRSTK|GASON|GASOF)\b.*",
     r"(?:HAND|HSEN|TOOLON|TOOLOF)\b.*",
-    r"(?:SPOT|SVSPOT|GUNCL|STROKE|STRWAIT|GUNCHG)\b.*",
+    r"(?:SPOT|SVSPOT|GUNCL|STROKE|STRWAIT)\b.*",
 )
 """Instructions that change nothing of frames, tools, shifts, and of the way through the job."""
 
