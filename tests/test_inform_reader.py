@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibrated import machine
+from posture_arms import ABB, FANUC
 from program_attacks.yaskawa import BEFORE, FRAMES, GO, HOME, PULSES, START, USER, job, position
 from robots import ur10
 from test_fanuc_reader import robot
@@ -23,6 +24,7 @@ from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Place, Target
 from aridcal.programs.yaskawa import ROW
 from aridcal.programs.yaskawa.project import context
+from aridcal.programs.zeros import senses_hint
 from aridcal.robot.chain import Robot
 
 
@@ -168,6 +170,12 @@ def test_pulses_are_read_by_what_the_user_states_of_each_axis(tmp_path: Path) ->
     np.testing.assert_allclose(zeroed, DEGREE * np.array([17.2, 21.2, 85.9, -85.9, -80.2, 6.5]))
 
 
+def test_an_arm_whose_axes_turn_otherwise_than_yaskawas_is_named() -> None:
+    """FANUC's turn alike: left, forward, then up or clockwise seen from the flange; ABB's do not."""
+    assert senses_hint(Cell(FANUC.robot()), ROW.name) == ""
+    assert "j3, j4, j5, j6 of the URDF turn the other way than Yaskawa's" in senses_hint(Cell(ABB.robot()), ROW.name)
+
+
 @pytest.mark.parametrize("numbers", ["[1000, 1000]", "[1000, 1000, 1000, 0, 800, 500]"])
 def test_pulses_per_degree_are_six_numbers(numbers: str, tmp_path: Path) -> None:
     with pytest.raises(CampaignError, match="should be 6 numbers, none of them 0"):
@@ -184,11 +192,11 @@ def test_a_relative_job_is_in_the_frame_that_its_caller_names(tmp_path: Path) ->
     reading = ROW.read(
         Project((Source(Path("MAIN.JBI"), job(["CALL JOB:SUB UF#(2)"])), Source(Path("SUB.JBI"), sub))), own
     )
-    found = {name: target.place for name, target in by_name(reading).items()}
-    step, variable = found["C00001"], found["P00010"]
-    assert step is not None and variable is not None
+    found = by_name(reading)
+    step = found["C00001"].place
+    assert step is not None
     np.testing.assert_allclose(step.base, own.frames.bases["2"])
-    np.testing.assert_allclose(variable.base, own.frames.bases["1"])
+    assert "called with UF#(2)" in found["P00010"].why
 
 
 def test_how_the_arm_stands_is_known_from_the_start_or_from_pulses_until_rconf_changes(tmp_path: Path) -> None:

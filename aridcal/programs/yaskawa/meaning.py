@@ -292,16 +292,15 @@ class Meaning:
 
     def _base(self, what: Action, k: int, position: Position, state: State) -> object:
         job, called = self._jobs[k], state.get("called frame")
-        if position.kind == "C":
-            if isinstance(called, Unknown):
-                return called
-            if called:
-                return self._called(job, position, str(called), state)
-            if job.relative:
-                self.assumed.add("relative")
-                own = f"USER {position.user}" if position.frame == "USER" else position.frame
-                if job.frame != own:
-                    return Unknown(f"is in {own}, but its relative job in {job.frame or 'no stated frame'}")
+        if isinstance(called, Unknown):
+            return called
+        if called:
+            return self._called(job, position, str(called), state)
+        if position.kind == "C" and job.relative:
+            self.assumed.add("relative")
+            own = f"USER {position.user}" if position.frame == "USER" else position.frame
+            if job.frame != own:
+                return Unknown(f"is in {own}, but its relative job in {job.frame or 'no stated frame'}")
         if position.frame != "USER":
             self.assumed.add("robot")
             return self._given.robot
@@ -309,8 +308,10 @@ class Meaning:
 
     def _called(self, job: Job, position: Position, called: str, state: State) -> object:
         """The frame of a position whose job is called with one."""
-        if not job.relative or position.frame != "USER":
-            return Unknown(f"its job is called with UF#({called}), but its positions are not those of a user frame")
+        if not job.relative or position.frame != "USER" or position.kind != "C":
+            return Unknown(
+                f"is no position of a relative job in a user frame, but gone to by one called with UF#({called})"
+            )
         if not called.isdecimal():
             return Unknown(f"its job is called with a user frame whose number is worked out, UF#({called})")
         return self._numbered("frame", "user frame", str(int(called)), state)
