@@ -98,11 +98,13 @@ def test_robot_and_base_coordinates_are_the_link_base_of_the_urdf_or_where_they_
         assert own is not None
         np.testing.assert_allclose(own.base, raised)
         assert any("link base of the URDF" in note for note in reading.notes)
+        assert any("nothing moves its base" in note for note in reading.notes) == (kind == "BASE")
+        assert any("begun without a shift" in note for note in reading.notes)
         elsewhere = FRAMES.replace('bases: {"1"', 'bases: {robot: {xyz: [0, 0, 0.1], rpy: [0, 0, 0]}, "1"')
         again = read(text, cell(elsewhere, tmp_path, robot(foot)))
         stated = by_name(again)["C00001"].place
         assert stated is not None and stated.base[2, 3] == pytest.approx(0.1)
-        assert not any("coordinates" in note for note in again.notes)
+        assert not any("the robot's coordinates" in note for note in again.notes)
 
 
 UFRAME = """//UFRAME 1
@@ -162,11 +164,13 @@ def test_pulses_are_read_by_what_the_user_states_of_each_axis(tmp_path: Path) ->
     assert "no file of a job says" in by_name(read(text, cell()))["C00000"].why
     own = cell(folder=tmp_path)
     target = by_name(read(text, own))["C00000"]
+    assert target.readings is not None
     np.testing.assert_allclose(target.readings, DEGREE * np.array([17.2, -68.8, 85.9, -85.9, -80.2, 11.5]))
     assert [unit for unit, _ in target.units] == pytest.approx([DEGREE / n for n in (1000, 1000, 1000, 800, 800, 500)])
     assert set(target.places) == {0}
     shown = Cell(own.robot, own.frames, (0.0, -90.0, 0.0, 0.0, 0.0, 5.0))
     zeroed = by_name(read(text, shown))["C00000"].readings
+    assert zeroed is not None
     np.testing.assert_allclose(zeroed, DEGREE * np.array([17.2, 21.2, 85.9, -85.9, -80.2, 6.5]))
 
 

@@ -103,6 +103,8 @@ BETWEEN = (
     ("parameters of the system", ("SETPRM KIND=5 PRMNO=67 D000",)),
     ("a file of a tool", ("SETFILE TOOL#(1) (1) D000",)),
     ("an instruction in small letters", ("sfton p011",)),
+    ("an instruction behind a label", ("*A SFTON P011",)),
+    ("an addition to what is no move", ("DOUT OT#(1) ON", "+SFTON P011")),
     ("an instruction set in", ("\t \t SFTON P011",)),
     ("an instruction with blanks between", ("SFTON    P011",)),
 )

@@ -185,7 +185,7 @@ class _Reader:
     def _nodes(self, instruction: Instruction) -> list[Node]:
         """Nodes of an instruction that contains no other lines."""
         text, start = instruction.text, instruction.start
-        if text.startswith("*"):
+        if text.startswith("*") and " " not in text:
             return [Mark(text[1:])]
         move = MOVE_RE.fullmatch(text)
         if move is not None:

@@ -22,6 +22,9 @@ HEADER = re.compile("|".join(HEADERS))
 CARTESIAN = ("BASE", "ROBOT", "USER")
 """Coordinates that stand still."""
 
+MOVES = ("MOV", "SMOV")
+"""What instructions begin with that may go on in the next line."""
+
 AXES = 6
 
 SHOWN = 40
@@ -161,11 +164,11 @@ def _lines(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _read_instruction(job: Job, start: int, line: str) -> None:
-    """Take a line of //INST; one that begins with + goes on with the one before."""
+    """Take a line of //INST; behind a move one that begins with + goes on with it."""
     text = plain(line)
     if not text:
         return
-    if text.startswith("+") and job.instructions:
+    if text.startswith("+") and job.instructions and job.instructions[-1].text.startswith(MOVES):
         before = job.instructions.pop()
         job.instructions.append(Instruction(before.start, f"{before.text} {text}", f"{before.raw} {line}"))
     else:

@@ -54,7 +54,7 @@ class Meaning:
 
     Attributes:
         ledger: What moves go to.
-        assumed: What moves have needed that no file says: ``robot``, ``variables``, ``relative``, ``posture``.
+        assumed: What moves have needed that no file says, by the names of :func:`aridcal.programs.yaskawa.project.read`'s notes.
 
     Args:
         jobs: Of the project.
@@ -274,8 +274,8 @@ class Meaning:
         elif isinstance(shift, Shift):
             why = why or f"{shift.line} shifts it (SFTON)"
         settled = self._key(k, position) not in self._left and not why
-        if settled and position.kind == "P":
-            self.assumed.add("variables")
+        if settled:
+            self.assumed |= {"unshifted", *(["variables"] if position.kind == "P" else [])}
         if position.pulses or position.why:
             return Use(line, why=why)
         base, tool = self._base(what, k, position, state), self._tool(position, state)
@@ -302,7 +302,7 @@ class Meaning:
             if job.frame != own:
                 return Unknown(f"is in {own}, but its relative job in {job.frame or 'no stated frame'}")
         if position.frame != "USER":
-            self.assumed.add("robot")
+            self.assumed |= {"robot", *(["base"] if position.frame == "BASE" else [])}
             return self._given.robot
         return self._numbered("frame", "user frame", position.user, state)
 

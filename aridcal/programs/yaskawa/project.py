@@ -129,6 +129,8 @@ def _assumptions(assumed: set[str], cell: Cell) -> tuple[str, ...]:
         "robot": f"the robot's coordinates are taken as the link {link} of the URDF"
         if ROBOT not in cell.frames.bases
         else "",
+        "base": "base coordinates are taken as those of the robot: nothing moves its base",
+        "unshifted": "jobs are taken as begun without a shift (SFTON) where no given job calls them",
         "variables": "position variables are taken as loaded with their job: other jobs must neither set them nor go there",
         "relative": "relative jobs are taken in their own frame where no given job calls them with another (UF#)",
         "posture": "RCONF is not read: the arm is taken to come to the first position without bending another way",
