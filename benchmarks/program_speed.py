@@ -151,11 +151,12 @@ def listing(moves: Sequence[str], numbers: Numbers) -> str:
 
 def inform(numbers: Numbers) -> dict[str, str]:
     lines = ["/JOB", "//NAME PATH", "//POS", f"///NPOS {len(numbers) + 1},0,0,0,0,0", "///USER 1", "///TOOL 1"]
-    lines += ["///POSTYPE PULSE", "///PULSE", "C99999=17200,-68800,85900,-85900,-80200,11500"]
+    lines += ["///POSTYPE PULSE", "///PULSE", "C00000=17200,-68800,85900,-85900,-80200,11500"]
     lines += ["///POSTYPE USER", "///RECTAN", "///RCONF 1,0,0,0,0,0,0,0"]
-    lines += [f"C{k:05d}={','.join(f'{value:.4f}' for value in own)}" for k, own in enumerate(numbers)]
-    lines += ["//INST", "///DATE 2026/11/28 10:26", "///ATTR SC,RW", "///GROUP1 RB1", "NOP", "MOVJ C99999 VJ=10.00"]
-    return {".jbi": "\r\n".join([*lines, *(f"MOVL C{k:05d} V=100.0 PL=1" for k in range(len(numbers))), "END", ""])}
+    lines += [f"C{k:05d}={','.join(f'{value:.4f}' for value in own)}" for k, own in enumerate(numbers, start=1)]
+    lines += ["//INST", "///DATE 2026/11/28 10:26", "///ATTR SC,RW", "///GROUP1 RB1", "NOP", "MOVJ C00000 VJ=10.00"]
+    moves = [f"MOVL C{k:05d} V=100.0 PL=1" for k in range(1, len(numbers) + 1)]
+    return {".jbi": "\r\n".join([*lines, *moves, "END", ""])}
 
 
 def gcode(numbers: Numbers) -> dict[str, str]:

@@ -254,6 +254,7 @@ def test_lines_and_places_are_those_of_the_file_whatever_its_line_ends(end: str,
     assert text.split(end)[target.line - 1].startswith("C00001=")
     assert [text[n.start : n.end] for n in target.numbers] == [n.text for n in target.numbers]
     assert len(target.numbers) == 6
+    assert by_name(read(f"\xef\xbb\xbf{text}", cell(folder=tmp_path)))["C00001"].why == ""
 
 
 def test_what_belongs_to_a_job_stands_beside_it(tmp_path: Path) -> None:

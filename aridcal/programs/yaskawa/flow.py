@@ -20,7 +20,7 @@ OPTIONS_RE = tuple((option, re.compile(option.pattern)) for option in OPTIONS)
 
 MOVE_RE, PLACE_RE = re.compile(MOVE), re.compile(PLACE)
 
-STEP_POSITION = re.compile(r"(?<![A-Z])C(\d{1,5})\b")
+STEP_POSITION = re.compile(r"(?<![A-Z])C(\d{1,9})\b")
 
 VARIABLE = re.compile(rf"(?<![A-Z$])(?:ARG)?PX?({INDEX})")
 """A position variable, which may be an argument: PX is all groups of axes of the one with this number."""
@@ -290,4 +290,4 @@ def read_flow(index: int, job: Job) -> Flow:
 
 
 def _short(index: str) -> bool:
-    return index.isdecimal() and len(index) < 6
+    return index.isdecimal() and len(index) < 10

@@ -12,7 +12,7 @@ from aridcal.programs.yaskawa.table import HEADERS
 
 LINE = re.compile(r"[^\r\n]+")
 
-POSITION = re.compile(r"\s*(C|BC|EC|P|BP|EX)(\d{1,5})\s*=(.*)", re.DOTALL)
+POSITION = re.compile(r"\s*(C|BC|EC|P|BP|EX)(\d{1,9})\s*=(.*)", re.DOTALL)
 
 PART = re.compile(rf"\s*({NUMBER.pattern})\s*(?:,|\Z)")
 """A number between commas."""
@@ -21,6 +21,8 @@ HEADER = re.compile("|".join(HEADERS))
 
 CARTESIAN = ("BASE", "ROBOT", "USER")
 """Coordinates that stand still."""
+
+MARK_OF_UTF8 = "\xef\xbb\xbf"
 
 MOVES = ("MOV", "SMOV")
 """What instructions begin with that may go on in the next line."""
@@ -125,7 +127,7 @@ def read_job(code: Code) -> Job | None:
     """A job; None of a file that holds none."""
     job, head, section = Job(code), _Head(), ""
     for start, line in _lines(code.text):
-        if line.startswith("/JOB"):
+        if line.removeprefix(MARK_OF_UTF8).startswith("/JOB"):
             if section:
                 job.wrong(start, "begins a second job: give each job a file of its own")
             section = "JOB"
@@ -274,13 +276,13 @@ def _judge(job: Job) -> None:
 
 def _index(text: str) -> str:
     """A number without zeros in front; empty where it is none."""
-    return str(int(text)) if text.isdecimal() and len(text) < 6 else ""
+    return str(int(text)) if text.isdecimal() and len(text) < 10 else ""
 
 
 def _posture(text: str) -> tuple[int, ...] | None:
     """The numbers of RCONF without the zeros behind; None where they are none."""
     parts = [part.strip() for part in text.split(",")]
-    if not all(part.isdecimal() and len(part) < 6 for part in parts):
+    if not all(part.isdecimal() and len(part) < 10 for part in parts):
         return None
     values = [int(part) for part in parts]
     while values and values[-1] == 0:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-INDEX = r"(?:\d{1,5}|\[[^\[\]]*\])"
+INDEX = r"(?:\d{1,9}|\[[^\[\]]*\])"
 """Of a variable: a number, or what is worked out."""
 
 VALUE = rf"(?:\d+(?:\.\d*)?|L?[BIDR]{INDEX})%?"
@@ -47,12 +47,12 @@ CHANGES: tuple[tuple[str, str], ...] = (
 )
 """Instructions that change one thing, by what they change."""
 
-PLACE = rf"(?:(?:BC|EC|C)\d{{1,5}}|L?(?:BP|EX|PX|P){INDEX})"
+PLACE = rf"(?:(?:BC|EC|C)\d{{1,9}}|L?(?:BP|EX|PX|P){INDEX})"
 """A position that a move names, or a variable that holds one."""
 
 MOVE = rf"(?P<how>S?MOV[JLCS])(?P<places>(?: {PLACE})*)(?P<options>(?: .*)?)"
 
-STATION = rf"\+MOV[JLCS](?: (?:EC\d{{1,5}}|L?EX{INDEX}))+"
+STATION = rf"\+MOV[JLCS](?: (?:EC\d{{1,9}}|L?EX{INDEX}))+"
 """The move of a station beside it: where the arm goes does not depend on it."""
 
 
