@@ -23,12 +23,12 @@ instance, whose own joints stay.
 With --grid the output is a correction table, for controllers that accept no model: for each point of a grid over the
 joints, the correction to be added to the nominal solution.
 
-A program in place of the poses (URScript .script; KRL .src, .dat; RAPID .mod; FANUC .ls; G-code .nc of a gantry) is written
-again with other numbers for its targets, so that the real arm comes to where the nominal one would; every other byte stays. Its
-targets must have been made offline: those that were taught on this robot are right already. A table beside the new program says
-for each target what was done; a target that is out of reach, beyond what was measured, or in a frame that only the controller
-knows, is named and left. --frames states such frames: `bases` and `tools` by name, or by number in quotes, each with xyz [m] and
-rpy [rad].
+A program in place of the poses (URScript .script; KRL .src, .dat; RAPID .mod; FANUC .ls; INFORM .jbi; G-code .nc of a gantry)
+is written again with other numbers for its targets, so that the real arm comes to where the nominal one would; every other byte
+stays. Its targets must have been made offline: those that were taught on this robot are right already. A table beside the new
+program says for each target what was done; a target that is out of reach, beyond what was measured, or in a frame that only the
+controller knows, is named and left. --frames states such frames: `bases` and `tools` by name, or by number in quotes, each with
+xyz [m] and rpy [rad].
 
 Example:
     aridcal compensate results/calibration.yaml poses.csv -o joints.csv

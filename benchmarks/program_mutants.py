@@ -88,6 +88,10 @@ SYNTAX = {
         "  99:  FROBNICATE[1]    ;", "  99:  DO[3]=ON ;", "", "  99:  !UTOOL_NUM=3 ;",
         ("  99:  IF (DI[1]=ON) THEN ;", "  99:  ENDIF ;"), None, r"\s*\d+:[JL] P\[",
     ),
+    "INFORM": Syntax(
+        "FROBNICATE 1", "DOUT OT#(3) ON", "", "'SFTON P003", ("IFTHENEXP IN#(1)=ON", "ENDIF"),
+        ("WHILEEXP IN#(2)=ON", "ENDWHILE"), r"MOV[JL] C",
+    ),
     "G-code": Syntax("G999", "M8", "", "(G92 X1 Y2)", ("", ""), None, r".*[XYZ]"),
 }  # fmt: skip
 """By the language's name."""

@@ -31,7 +31,7 @@ from rich.table import Table
 from target_correction import HOME
 
 from aridcal.programs.branches import flanges
-from aridcal.programs.notations import ABB, FANUC, KUKA, UR
+from aridcal.programs.notations import ABB, FANUC, KUKA, UR, YASKAWA
 from aridcal.programs.targets import Notation
 from aridcal.robot.chain import Robot
 
@@ -149,6 +149,16 @@ def listing(moves: Sequence[str], numbers: Numbers) -> str:
     return "\r\n".join([*lines, "/END", ""])
 
 
+def inform(numbers: Numbers) -> dict[str, str]:
+    lines = ["/JOB", "//NAME PATH", "//POS", f"///NPOS {len(numbers) + 1},0,0,0,0,0", "///USER 1", "///TOOL 1"]
+    lines += ["///POSTYPE PULSE", "///PULSE", "C00000=17200,-68800,85900,-85900,-80200,11500"]
+    lines += ["///POSTYPE USER", "///RECTAN", "///RCONF 1,0,0,0,0,0,0,0"]
+    lines += [f"C{k:05d}={','.join(f'{value:.4f}' for value in own)}" for k, own in enumerate(numbers, start=1)]
+    lines += ["//INST", "///DATE 2026/11/28 10:26", "///ATTR SC,RW", "///GROUP1 RB1", "NOP", "MOVJ C00000 VJ=10.00"]
+    moves = [f"MOVL C{k:05d} V=100.0 PL=1" for k in range(1, len(numbers) + 1)]
+    return {".jbi": "\r\n".join([*lines, *moves, "END", ""])}
+
+
 def gcode(numbers: Numbers) -> dict[str, str]:
     blocks = (f"G1 X{x:.3f} Y{y:.3f} Z{z:.3f}" for x, y, z in numbers)
     return {".nc": "\n".join(["%", "G17 G21 G40 G49 G54 G80 G90", "G0 X0 Y0 Z0", "F1000", *blocks, "M30", "%", ""])}
@@ -184,6 +194,7 @@ STYLES = (
     Style("RAPID, declared", ".mod", ABB, declared),
     Style("FANUC", ".ls", FANUC, fanuc, FRAMES),
     Style("FANUC, six lines each", ".ls", FANUC, fanuc_framed, FRAMES),
+    Style("INFORM", ".jbi", YASKAWA, inform, f"{FRAMES}pulses_per_degree: [1000, 1000, 1000, 1000, 1000, 1000]\n"),
     Style("G-code", ".nc", None, gcode, GANTRY),
     Style("G-code, arcs, comments", ".nc", None, gcode_arcs, GANTRY),
 )

@@ -132,6 +132,8 @@ FANUC = Dialect(
     DEGREE,
     (3, 3),
 )
+YASKAWA = Dialect(FANUC.pose, FANUC.read, DEGREE / 1000, (3, 0))
+"""Pulses, a thousand a degree."""
 ABB = Dialect(
     lambda T: np.concatenate([1e3 * T[:3, 3], np.roll(_R(T).as_quat(), 1)]),
     lambda v: _frame(1e-3 * v[:3], Rotation.from_quat(np.roll(v[3:], -1))),
@@ -410,6 +412,48 @@ def fanuc(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Ma
     return w.made
 
 
+def halves(q: np.ndarray) -> tuple[int, ...]:
+    """Half turns of axes 1, 4 and 6, and of axis 4 once more: what Yaskawa's RCONF may count of an arm of any build."""
+    return (*(round(q[j] / (2 * np.pi)) for j in (0, 3, 5)), round(q[3] / np.pi))
+
+
+def inform(rng: np.random.Generator, steps: Sequence[Step], flange: Flange) -> Made:
+    """As a controller writes a converted job: positions with RCONF, tool and user frame before them, and others in pulses."""
+    w = Writer(YASKAWA, flange, "\r\n")
+    tool, base = random_frame(rng, 0.2), random_frame(rng, 0.4)
+    w.made.frames = _frames_file({"2": base}, {"1": tool}) + f"pulses_per_degree: {[1000] * 6}\n"
+    w.line("/JOB\r\n//NAME NAHT-7\r\n//POS")
+    w.line(f"///NPOS {len(steps)},0,0,0,0,0\r\n///USER 2\r\n///TOOL 1")
+    stands: tuple[int, ...] = ()
+    kind, moves = "", []
+    for k, step in enumerate(steps):
+        q = step.readings
+        form = (
+            step.form if halves(q) == stands else "joints"
+        )  # RCONF is not read: where it changes pulses say how the arm stands
+        stands = halves(q)
+        if form != kind:
+            kind = form
+            w.line("///POSTYPE PULSE\r\n///PULSE" if form == "joints" else "///POSTYPE USER\r\n///RECTAN")
+        if form == "joints":
+            w.line(f"C{k:05d}={','.join(w.joints(q))}")
+        else:
+            w.line(
+                f"///RCONF {stands[3] % 2},0,0,{','.join(str(abs(n)) for n in (stands[1], stands[2], stands[0]))},0,0"
+            )
+            w.line(f"C{k:05d}={','.join(w.pose(q, base, tool))}")
+        how = "MOVJ" if form == "joints" else str(rng.choice(["MOVL", "MOVJ"]))
+        moves.append(f"{how} C{k:05d} {'VJ=25.00' if how == 'MOVJ' else 'V=138.0'} PL={k % 4}  //C{k:05d}=1,2,3,4,5,6")
+    w.line("//INST\r\n///DATE 2026/11/28 10:26\r\n///COMM Schweißnaht\r\n///ATTR SC,RW\r\n///GROUP1 RB1\r\nNOP")
+    w.line("'P00001=1.000,2.000,3.000,4.0000,5.0000,6.0000")
+    for move in moves:
+        w.line(move)
+        if rng.random() < 0.2:
+            w.line('MSG "MOVL C00000 V=1.0"\r\nDOUT OT#(3) ON')
+    w.line("END")
+    return w.made
+
+
 def _frames_file(bases: dict[str, np.ndarray], tools: dict[str, np.ndarray]) -> str:
     def entries(frames: dict[str, np.ndarray]) -> str:
         return ", ".join(
@@ -425,5 +469,6 @@ MAKERS: dict[str, tuple[Dialect, Callable[[np.random.Generator, Sequence[Step], 
     ".src": (KUKA, krl),
     ".mod": (ABB, rapid),
     ".ls": (FANUC, fanuc),
+    ".jbi": (YASKAWA, inform),
 }
 """By the ending of the file's name."""

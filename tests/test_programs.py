@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from calibrated import Machine, machine
-from made_programs import FANUC, KUKA, MAKERS, UR, Dialect, Made, path, quarters, signs, transform, turns
+from made_programs import FANUC, KUKA, MAKERS, UR, YASKAWA, Dialect, Made, path, quarters, signs, transform, turns
 from robot_programs import error, sent
 from robots import ur10
 from scipy.spatial.transform import Rotation
@@ -34,6 +34,7 @@ from aridcal.programs.notations import ABB as OUR_ABB
 from aridcal.programs.notations import FANUC as OUR_FANUC
 from aridcal.programs.notations import KUKA as OUR_KUKA
 from aridcal.programs.notations import UR as OUR_UR
+from aridcal.programs.notations import YASKAWA as OUR_YASKAWA
 from aridcal.programs.project import Project, Source
 from aridcal.programs.targets import Notation
 from aridcal.programs.text import written
@@ -45,6 +46,7 @@ CELL = Cell(ur10())
 
 POSTURES: dict[str, Callable[[np.ndarray], list[str]]] = {
     ".script": lambda q: [], ".src": lambda q: [signs(q)], ".mod": quarters, ".ls": turns,
+    ".jbi": lambda q: [],
 }  # fmt: skip
 """What each language writes of the arm's posture."""
 
@@ -135,7 +137,9 @@ def test_a_program_that_is_cut_or_garbled_anywhere_is_read_or_left_but_never_bre
 
 
 @pytest.mark.parametrize(
-    ("ours", "theirs"), [(OUR_UR, UR), (OUR_KUKA, KUKA), (OUR_FANUC, FANUC)], ids=["UR", "KUKA", "FANUC"]
+    ("ours", "theirs"),
+    [(OUR_UR, UR), (OUR_KUKA, KUKA), (OUR_FANUC, FANUC), (OUR_YASKAWA, YASKAWA)],
+    ids=["UR", "KUKA", "FANUC", "YASKAWA"],
 )
 def test_poses_are_written_as_the_makers_write_them(ours: Notation, theirs: Dialect) -> None:
     """Turns about one axis after the other, as the manuals have them, beside one matrix."""

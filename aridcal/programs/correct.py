@@ -52,6 +52,8 @@ WORDLESS = "its posture once corrected has no words in this language"
 
 ELSEWHERE = "its posture once corrected is shared with another position of the arm, nearer to where it comes from"
 
+OTHER_SIDE = "is stated for all of them alike, and this one stands otherwise than the first, or would once corrected"
+
 TOO_LARGE = "its numbers once corrected are larger than those of any arm"
 
 SEEN = 1e-6
@@ -328,6 +330,7 @@ class _Walk:
         self._nominal = np.asarray(start, dtype=float)  # where the controller believes that the arm is
         self._sent = self._nominal  # where the joints are sent with the corrections
         self._sides = dict.fromkeys(directions(arm.saved), 0.0)
+        self._shared: dict[str, tuple[int, ...]] = {}  # sides of all targets whose posture has this name
 
     def go(self, targets: Sequence[Target]) -> Corrections:
         """Correct some more targets."""
@@ -487,6 +490,7 @@ class _Walk:
         lot.why[[k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST]] = TOO_LARGE
         self._settle_stance(lot)
         self._reword(lot, rows, as_read)
+        self._keep_shared(lot, rows)
         self._look_beside(lot, rows, numbers)
         left = rows[lot.why[rows] != ""]
         lot.sent[left] = lot.q[left]
@@ -543,6 +547,19 @@ class _Walk:
             taken, _ = self._controller.nearest(poses, lot.q[own], lot.sent[own], {})
             other = np.abs(taken - lot.sent[own]).max(axis=1) > SAME
             lot.why[own[other]] = ELSEWHERE
+
+    def _keep_shared(self, lot: _Lot, rows: np.ndarray) -> None:
+        """Leave targets that do not stand as all whose posture is stated with theirs, or would not once corrected."""
+        for k in rows.tolist():
+            branch = lot.targets[k].branch
+            if branch.shared is None or lot.why[k]:
+                continue
+            if _unsettled(lot.targets[k]):
+                lot.why[k] = f"{branch.unknown}; {UNSETTLED}"
+                continue
+            own = branch.shared.sides(lot.q[k])
+            if not own == self._shared.setdefault(branch.shared.name, own) == branch.shared.sides(lot.sent[k]):
+                lot.why[k] = f"its posture ({branch.shared.name}) {OTHER_SIDE}"
 
     def _look_beside(self, lot: _Lot, rows: np.ndarray, numbers: Sequence[Sequence[float]]) -> None:
         """Work out what the correction does at other places where the same numbers are used."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +12,9 @@ from pydantic import Field
 from aridcal.errors import CampaignError
 from aridcal.inputs.instrument_settings import Placement
 from aridcal.inputs.yaml_file import Number, Settings, load_settings
+from aridcal.programs.axes import MOST
+from aridcal.programs.uses import Frame
+from aridcal.programs.walk import Unknown
 from aridcal.robot.chain import Robot
 from aridcal.robot.tree import read_tree
 
@@ -27,6 +30,9 @@ FURTHEST_TURN = 6.3
 FARTHEST = 100.0
 """[m]: the longest rails of robots have half of it."""
 
+ROUNDED = 1e-3
+"""[m] and of a rotation's matrix: a listing in tenths of a millimetre and of a degree agrees with exact numbers within that."""
+
 
 class FrameSettings(Settings):
     """A file of ``--frames``.
@@ -37,6 +43,7 @@ class FrameSettings(Settings):
         start: Readings of the joints where the program begins, in the units of the program.
         harmless: Routines that no given file has, and that change nothing of frames, tools, modes and points.
         j3_from_link_2: FANUC: the controller counts J3 from link 2, as the URDF's joint, not from the horizontal.
+        pulses_per_degree: Yaskawa: of each axis of the arm.
     """
 
     bases: Mapping[str, Placement] = Field(default_factory=dict)
@@ -44,6 +51,7 @@ class FrameSettings(Settings):
     start: tuple[Number, ...] | None = None
     harmless: tuple[str, ...] = ()
     j3_from_link_2: bool = False
+    pulses_per_degree: tuple[Number, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,7 @@ class KnownFrames:
         start: See :class:`FrameSettings`.
         harmless: Likewise, in small letters.
         j3_from_link_2: Likewise.
+        pulses_per_degree: Likewise.
     """
 
     bases: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -63,6 +72,7 @@ class KnownFrames:
     start: tuple[float, ...] | None = None
     harmless: frozenset[str] = frozenset()
     j3_from_link_2: bool = False
+    pulses_per_degree: tuple[float, ...] = ()
 
 
 def read_frames(path: Path | None) -> KnownFrames:
@@ -77,9 +87,11 @@ def read_frames(path: Path | None) -> KnownFrames:
         settings = load_settings(path, FrameSettings)
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
+    if settings.pulses_per_degree and (len(settings.pulses_per_degree) != MOST or 0.0 in settings.pulses_per_degree):
+        raise CampaignError(f"{path}: pulses_per_degree: should be {MOST} numbers, none of them 0: of S L U R B T")
     harmless = frozenset(name.lower() for name in settings.harmless)
     bases, tools = (_poses(path, kind, getattr(settings, kind)) for kind in ("bases", "tools"))
-    return KnownFrames(bases, tools, settings.start, harmless, settings.j3_from_link_2)
+    return KnownFrames(bases, tools, settings.start, harmless, settings.j3_from_link_2, settings.pulses_per_degree)
 
 
 def fixed_base(robot: Robot) -> np.ndarray | None:
@@ -113,6 +125,30 @@ def _poses(path: Path, kind: str, placements: Mapping[str, Placement]) -> dict[s
             raise CampaignError(f"{where}: stands there twice, for names are compared in small letters")
         poses[name.lower()] = placement.homogeneous
     return poses
+
+
+def joined_frames(
+    kind: str, stated: Mapping[str, np.ndarray], below: Frame, listings: Sequence[Mapping[int, np.ndarray]]
+) -> dict[int, Frame | Unknown]:
+    """Frames by number that the user states and those of the controller; where they differ neither is certain.
+
+    Args:
+        kind: What messages call one.
+        stated: By name, of the base or of the tip.
+        below: What those of the controller are in.
+        listings: Of the controller, by number, T of shape (4, 4), [m].
+    """
+    sources = [{int(name): Frame(T) for name, T in stated.items() if name.isdecimal() and len(name) < 10}]
+    sources += [{number: below @ Frame(T) for number, T in listing.items()} for listing in listings]
+    joined: dict[int, Frame | Unknown] = {}
+    for source in sources:
+        for number, frame in source.items():
+            own = joined.setdefault(number, frame)
+            if isinstance(own, Frame) and np.abs(own.T - frame.T).max() > ROUNDED:
+                joined[number] = Unknown(
+                    f"{kind} {number} is stated twice, not alike: in --frames or in listings of the controller"
+                )
+    return joined
 
 
 def absent(name: str) -> str:

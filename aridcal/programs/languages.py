@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from aridcal.programs import fanuc, gcode, krl, rapid, urscript
+from aridcal.programs import fanuc, gcode, krl, rapid, urscript, yaskawa
 from aridcal.programs.language import Language
 
-LANGUAGES: tuple[Language, ...] = (urscript.ROW, krl.ROW, rapid.ROW, fanuc.ROW, gcode.ROW)
+LANGUAGES: tuple[Language, ...] = (urscript.ROW, krl.ROW, rapid.ROW, fanuc.ROW, gcode.ROW, yaskawa.ROW)
 
 
 def language_of(path: Path) -> Language | None:

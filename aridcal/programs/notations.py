@@ -1,4 +1,7 @@
-"""How languages write a pose: UR's rotation vector, KUKA's A B C, ABB's quaternion, FANUC's W P R; one, or many at once."""
+"""How languages write a pose: UR's rotation vector, KUKA's A B C, ABB's quaternion, W P R of FANUC, Rx Ry Rz of Yaskawa.
+
+One pose, or many at once.
+"""
 
 from __future__ import annotations
 
@@ -97,3 +100,6 @@ ABB = Notation(_from_quaternion, _to_quaternion, (4,) * 3 + (8,) * 4)
 
 FANUC = Notation(*_euler("ZYX", reverse=True), (3,) * 6)
 """X Y Z W P R: millimetres; R about z, P about the new y, W about the newest x, degrees. The controller writes three digits."""
+
+YASKAWA = Notation(*_euler("ZYX", reverse=True), (3,) * 3 + (4,) * 3)
+"""X Y Z Rx Ry Rz: millimetres; Rz about z, Ry about the new y, Rx about the newest x, degrees; three and four digits."""

@@ -12,6 +12,10 @@ cannot bend over backwards, such as those with a parallel rod, do not use cfx.
 FANUC (CONFIG): N where the flange is bent down with axis 4 at zero, F where up; T with the wrist in front of axis 1, B behind it;
 U with the elbow above the line from axis 2 to the wrist, D below: of an arm that leans over backwards that letter is kept, for no
 public source says whether "above" turns round with it. Turn numbers are whole turns of axes 1, 4 and 6 away from their middle.
+Yaskawa (RCONF) is not read: it stands once for many positions, and of its first number, flip or no flip, the manual of the NX100
+says that axis 4 decides (flip from -90 to 90 degrees), and none that was found says whether newer controllers count so. All its
+boundaries are kept clear of: half turns of axes 1, 4 and 6, quarters of axis 4, the elbow stretched, the wrist above axis 1, axis
+5 straight.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 
@@ -119,6 +123,18 @@ def rapid_words(data: Sequence[Number], cell: Cell) -> Words | None:
 def fanuc_words(config: Numbers, cell: Cell) -> Words | None:
     """CONFIG : 'N U T, 0, 0, 0': its three letters and turn numbers; None where nothing stands there."""
     return _words(config, _letters(cell.axes), "CONFIG '{} {} {}, {}, {}, {}'", cell) if config else None
+
+
+def rconf_sides(cell: Cell) -> Callable[[np.ndarray], tuple[int, ...]]:
+    """For readings of an arm of six axes, on which side of each boundary they are that RCONF may count."""
+    return partial(_sides, cell.axes, cell.anatomy)
+
+
+def _sides(axes: Axes, anatomy: Anatomy | None, readings: np.ndarray) -> tuple[int, ...]:
+    shown = [float(readings[k]) + shift for k, shift in zip(axes.arm, axes.shifts, strict=True)]
+    halves = [math.floor(shown[k] / math.tau + 0.5) for k in (0, 3, 5)]
+    flip = math.floor(shown[3] / math.pi + 0.5)
+    return *halves, flip, *(int(value > 0.0) for value in Stance(shown, anatomy).sides)
 
 
 @lru_cache

@@ -57,6 +57,21 @@ class Words:
 
 
 @dataclass(frozen=True, slots=True)
+class Shared:
+    """What stands once in a program for the posture of several targets, and is not read: Yaskawa's RCONF.
+
+    None of them can have it written anew, so that all of one text must stand on the same sides, before and once corrected.
+
+    Attributes:
+        name: For messages, with what stands there; the same for all that it is for.
+        sides: Of readings, shape (columns,): on which side of each boundary they are that it may count.
+    """
+
+    name: str
+    sides: Callable[[np.ndarray], tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
 class Branch:
     """What a program says of the arm's position beside the pose, in readings [rad] or [m].
 
@@ -66,6 +81,7 @@ class Branch:
         held: Readings that are to stay as they are, external axes for instance, shape (columns,), NaN where none is.
         nearest: Of several positions that fit the controller takes the nearest to ``near``, or to the target before.
         unknown: Why it is not known where the arm comes from; empty where it is, or where that does not matter.
+        shared: Its posture, where that stands once for several targets.
     """
 
     words: Words | None = None
@@ -73,6 +89,7 @@ class Branch:
     held: np.ndarray | None = None
     nearest: bool = False
     unknown: str = ""
+    shared: Shared | None = None
 
 
 NOTHING_SAID = Branch()

@@ -26,13 +26,18 @@ RIGHT_ANGLE = 90.0
 TRUE = 1.0
 """Degrees within which an arm at zero stands as its maker draws it: a description's own roundings are far less."""
 
-AT_ZERO = {"KRL": (0.0, 0.0), "RAPID": (RIGHT_ANGLE, 0.0), "FANUC LS": (RIGHT_ANGLE, 0.0)}
+AT_ZERO = dict.fromkeys(("RAPID", "FANUC LS", "INFORM"), (RIGHT_ANGLE, 0.0)) | {"KRL": (0.0, 0.0)}
 """Where the controller shows zero: the upper arm above level, and the forearm, degrees. KUKA's arm is stretched out level in
-front; ABB's and FANUC's upper arm is upright, the forearm level."""
+front; ABB's, FANUC's and Yaskawa's upper arm is upright, the forearm level."""
 
-MAKERS = {"KRL": ("KUKA", "A"), "RAPID": ("ABB", "axis "), "FANUC LS": ("FANUC", "J")}
+MAKERS = {"KRL": ("KUKA", "A"), "RAPID": ("ABB", "axis "), "FANUC LS": ("FANUC", "J"), "INFORM": ("Yaskawa", "axis ")}
 
-SENSES = {"KRL": (-1, 1, 1, -1, 1, -1), "RAPID": (1, 1, 1, 1, 1, 1), "FANUC LS": (1, 1, -1, -1, -1, -1)}
+SENSES = {
+    "KRL": (-1, 1, 1, -1, 1, -1),
+    "RAPID": (1, 1, 1, 1, 1, 1),
+    "FANUC LS": (1, 1, -1, -1, -1, -1),
+    "INFORM": (1, 1, -1, -1, -1, -1),
+}
 """Which way the maker's axes turn, as :attr:`Anatomy.senses` has them."""
 
 WITNESSES = 3

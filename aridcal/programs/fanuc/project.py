@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
+from aridcal.programs.callers import named, reached, routine_of, uncalled
 from aridcal.programs.cell import Cell, Reading
 from aridcal.programs.fanuc.actions import actions
 from aridcal.programs.fanuc.controller import read_frames_of_controller
 from aridcal.programs.fanuc.flow import ANY, Flow, read_flow
 from aridcal.programs.fanuc.listing import Listing, read_listing
 from aridcal.programs.fanuc.meaning import Given, Meaning
-from aridcal.programs.frames import KnownFrames
+from aridcal.programs.frames import KnownFrames, joined_frames
 from aridcal.programs.project import Project
 from aridcal.programs.text import Code
 from aridcal.programs.uses import HERE, Frame, line_name
-from aridcal.programs.walk import State, TooLong, Unknown, Walk
+from aridcal.programs.walk import State, TooLong, Walk
 
 ENDING = ".ls"
 
 LISTINGS = ("sysframe.va", "frame.dg")
 """Listings of the frames that a controller holds, in the order in which they are believed: FRAME.DG rounds to a tenth."""
-
-ROUNDED = 1e-3
-"""[m] and of a rotation's matrix: a listing in tenths of a millimetre and of a degree agrees with exact numbers within that."""
 
 WAYS = "the program has more ways than can be followed"
 
@@ -69,76 +65,43 @@ def _walked(
     flows: Sequence[Flow],
     ours: Mapping[int, bool],
 ) -> Reading:
-    names = _names(listings, ours)
-    spoken = _reached([k for k in ours if ours[k]], flows, names)
-    above = [k for k in ours if not ours[k] and _reached([k], flows, names) & spoken and k not in spoken]
+    names, calls = named([listing.name for listing in listings], ours), [(*flow.calls, *flow.tasks) for flow in flows]
+    spoken = reached([k for k in ours if ours[k]], calls, names)
+    above = [k for k in ours if not ours[k] and reached([k], calls, names) & spoken and k not in spoken]
     walked = [k for k in ours if k in spoken or k in above]
     given, notes = _given(project, cell, codes)
     meaning = Meaning(listings, flows, codes, ours, spoken, given, cell)
-    walk = Walk({_routine(names, k): flows[k].body for k in walked}, meaning)
+    walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
     state = State()
     meaning.begin(state, _written(listings, flows, codes, frozenset(walked), cell.frames))
     for name in sorted({name for k in walked for name in flows[k].tasks}):
         state.volatile(
             _writes(name, flows, names, meaning, state), f"{name} runs beside the program, and may change it"
         )
-    for k in _entries(walked, flows, names):
-        walk.enter(_routine(names, k), State(state))
+    for k in uncalled(walked, [flow.calls for flow in flows], names):
+        walk.enter(routine_of(names, k), State(state))
     for k in walked:
-        if _routine(names, k) not in walk.reached:
-            walk.enter(_routine(names, k), State(state))
+        if routine_of(names, k) not in walk.reached:
+            walk.enter(routine_of(names, k), State(state))
     del walk
     for flow in flows:
         flow.body = ()  # a long program's is as large as its targets
     return Reading(meaning.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
 
 
-def _names(listings: Sequence[Listing], ours: Mapping[int, bool]) -> dict[str, int]:
-    """Which listing a program's name means: of several, the only one that is to be corrected, or none."""
-    names: dict[str, int] = {}
-    for name in dict.fromkeys(listing.name for listing in listings):
-        same = [k for k, listing in enumerate(listings) if listing.name == name]
-        own = [k for k in same if ours[k]] or same
-        if len(own) == 1:
-            names[name] = own[0]
-    return names
-
-
-def _routine(names: Mapping[str, int], program: int) -> str:
-    """The name under which a listing is walked: its own, or one that nobody calls where two have the same."""
-    return next((name for name, k in names.items() if k == program), f"/{program}")
-
-
-def _reached(start: Sequence[int], flows: Sequence[Flow], names: Mapping[str, int]) -> frozenset[int]:
-    """Listings that some call, those themselves included."""
-    reached: dict[int, None] = {}
-    waiting = list(start)
-    while waiting:
-        k = waiting.pop()
-        if k not in reached:
-            reached[k] = None
-            waiting += [names[name] for name in (*flows[k].calls, *flows[k].tasks) if name in names]
-    return frozenset(reached)
-
-
-def _entries(walked: Sequence[int], flows: Sequence[Flow], names: Mapping[str, int]) -> Iterator[int]:
-    """Listings that none of the others calls."""
-    called = {names[name] for k in walked for name in flows[k].calls if name in names and names[name] != k}
-    return (k for k in walked if k not in called)
-
-
 def _writes(
     name: str, flows: Sequence[Flow], names: Mapping[str, int], meaning: Meaning, state: State
 ) -> list[tuple[str, Hashable]]:
     """All that a program may change that runs beside others, wherever it is: it may never end, or be stopped at any line."""
-    reached = _reached([names[name]], flows, names) if name in names else frozenset()
+    calls = [(*flow.calls, *flow.tasks) for flow in flows]
+    own_and_called = reached([names[name]], calls, names) if name in names else frozenset()
     keys: dict[tuple[str, Hashable], None] = {}
-    for own in (name, *(own for k in reached for own in (*flows[k].calls, *flows[k].tasks))):
+    for own in (name, *(own for k in own_and_called for own in calls[k])):
         if own not in names:
             scratch = State(state)
             meaning.absent(None, own, scratch)
             keys |= dict.fromkeys(scratch.own_keys())
-    for k in sorted(reached):
+    for k in sorted(own_and_called):
         for action in actions(flows[k].body):
             if action.does != "move":
                 scratch = State(state)
@@ -179,26 +142,9 @@ def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given
     names = [project.sources[code.file].path.name.lower() for code in codes]
     listings = [read_frames_of_controller(code.text) for own in LISTINGS for code in codes if names[code.file] == own]
     notes += [f"user frames and tools are those of {code.name}" for code in codes if names[code.file] in LISTINGS]
-    frames = _joined("user frame", cell.frames.bases, base, [listing.frames for listing in listings])
-    tools = _joined("user tool", cell.frames.tools, flange, [listing.tools for listing in listings])
+    frames = joined_frames("user frame", cell.frames.bases, base, [listing.frames for listing in listings])
+    tools = joined_frames("user tool", cell.frames.tools, flange, [listing.tools for listing in listings])
     return Given(base, frames, {**tools, 0: flange}), tuple(notes)
-
-
-def _joined(
-    kind: str, stated: Mapping[str, np.ndarray], below: Frame, listings: Sequence[Mapping[int, np.ndarray]]
-) -> dict[int, Frame | Unknown]:
-    """Frames that the user states and those of the controller; where they differ neither is certain."""
-    sources = [{int(name): Frame(T) for name, T in stated.items() if name.isdecimal() and len(name) < 10}]
-    sources += [{number: below @ Frame(T) for number, T in listing.items()} for listing in listings]
-    joined: dict[int, Frame | Unknown] = {}
-    for source in sources:
-        for number, frame in source.items():
-            own = joined.setdefault(number, frame)
-            if isinstance(own, Frame) and np.abs(own.T - frame.T).max() > ROUNDED:
-                joined[number] = Unknown(
-                    f"{kind} {number} is stated twice, not alike: in --frames or in listings of the controller"
-                )
-    return joined
 
 
 def _assumptions(assumed: set[str], cell: Cell) -> tuple[str, ...]:
