@@ -27,15 +27,16 @@ import pandas as pd
 from rich.console import Console
 
 from aridcal.calibration import Calibration
-from aridcal.compare import Changes, changes
-from aridcal.design import MOST, check_endings, check_outputs, write_plan
 from aridcal.errors import AridcalError, shortened
-from aridcal.fleet import FleetRun, calibrated_fleet, fleet_run
-from aridcal.history import FleetHistory, over_time
-from aridcal.init import tell
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.tables import AnyTable
-from aridcal.merge import merge
+from aridcal.jobs.calibration_changes import Changes, changes
+from aridcal.jobs.fleet_history import FleetHistory, over_time
+from aridcal.jobs.fleet_run import FleetRun, calibrated_fleet, fleet_run
+from aridcal.jobs.log_merge import merge
+from aridcal.jobs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
+from aridcal.jobs.proposal import tell
+from aridcal.jobs.study_run import StudyRun, repeated, study_run
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
@@ -49,7 +50,6 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
 from aridcal.showing import Progress, one_thread, working
-from aridcal.study import StudyRun, repeated, study_run
 
 __all__ = [
     "AridcalError",
@@ -165,8 +165,8 @@ def plan(
     Raises:
         AridcalError: whatever in the input needs mending.
     """
-    if not isinstance(n, int | np.integer) or not 1 <= n <= MOST:
-        raise AridcalError(f"n: should be a whole number from 1 to {MOST}, not {shortened(repr(n))}")
+    if not isinstance(n, int | np.integer) or not 1 <= n <= MOST_PLANNED:
+        raise AridcalError(f"n: should be a whole number from 1 to {MOST_PLANNED}, not {shortened(repr(n))}")
     if optimal not in get_args(Criterion):
         raise AridcalError(
             f"optimal: should be one of {', '.join(get_args(Criterion))}, not {shortened(repr(optimal))}"

@@ -13,7 +13,6 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.check import Check, answer
 from aridcal.drawing.as_tables import (
     combination_table,
     effect_table,
@@ -28,12 +27,13 @@ from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.drawing.shown import DECIMALS, Verified, headline
 from aridcal.errors import AridcalError, CampaignError, shortened
-from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query, seeded
 from aridcal.inputs.tables import AnyTable
 from aridcal.inputs.yaml_file import decode, parse_yaml
+from aridcal.jobs.repair_folder import recalibrate
+from aridcal.jobs.result_folder import write_folder
+from aridcal.jobs.rows_check import Check, check_rows
 from aridcal.reading.files import RESULT, read_file
-from aridcal.recalibrate import recalibrate
 from aridcal.report.page import write_report
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import INDEX, by_region, hand_over, index_document
@@ -42,13 +42,9 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import score
 from aridcal.result.predict import evenly, predict, read_query, uncertainty
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.verdict import NOISE_UNKNOWN
-from aridcal.result_folder import write_folder
-from aridcal.showing import Page, working
+from aridcal.result.verdict import NOISE_UNKNOWN, VERDICTS
+from aridcal.showing import SHOWN_REMARKS, Page, working
 from aridcal.writing.files import atomic_file
-
-SHOWN_REMARKS = 5
-"""Remarks that are shown: notices of a calibration, rows that a warning names."""
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -234,7 +230,7 @@ class Calibration:
         """
         with working() as progress:
             progress("asking what moved")
-            return answer(self.model, measurements, tolerance)
+            return check_rows(self.model, measurements, tolerance)
 
     def recalibrate(self, measurements: AnyTable, folder: str | Path) -> Calibration:
         """Mend the calibration with 5 to 20 new rows: what moved is fitted, all else kept.
@@ -365,7 +361,7 @@ def _remarks(result: dict[str, Any]) -> list[str]:
     effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in result["effects"])
     notices = [f"note: {notice}" for notice in result["notices"][:SHOWN_REMARKS]]
     unknown = NOISE_UNKNOWN in result.get("reasons", [])
-    words = "the rest may be noise; nobody has said how large that is" if unknown else VERDICTS[verdict]
+    words = "the rest may be noise; nobody has said how large that is" if unknown else VERDICTS[verdict].line
     return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {words}", *notices]
 
 

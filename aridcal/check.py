@@ -24,11 +24,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from aridcal.command_line import (
     DONE,
@@ -40,10 +38,8 @@ from aridcal.command_line import (
     run,
     screens,
 )
-from aridcal.drawing.html import tag
 from aridcal.errors import OutputError
 from aridcal.inputs.measurement_settings import length_argument
-from aridcal.inputs.tables import AnyTable
 from aridcal.planning.design import joint_table
 from aridcal.planning.travel import short_order
 from aridcal.reading.names import path_argument
@@ -56,53 +52,6 @@ from aridcal.upkeep.repair import changes
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class Check:
-    """What new rows say of a calibration.
-
-    Attributes:
-        good: True as long as nothing moved; with a tolerance as long as the error may be within it.
-        p_value: Probability of rows as odd as these from a calibration that is still right.
-        moved: What moved, by how much, [m] and [rad]; no rows where nothing did.
-        lines: The whole answer in words.
-    """
-
-    good: bool
-    p_value: float
-    moved: pd.DataFrame
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def answer(saved: SavedModel, table: AnyTable, tolerance: float | None = None) -> Check:
-    """What new rows say of a calibration, for Python.
-
-    Args:
-        saved: The calibration.
-        table: See :func:`aridcal.upkeep.new_rows.read_new_rows`.
-        tolerance: Largest RMS position error that is still good, [m].
-
-    Raises:
-        AridcalError: the rows need mending, or nothing can be said of a tolerance.
-    """
-    new = read_new_rows(saved, table)
-    found = check(saved, new.rows, tolerance, new.frames)
-    moved = changes(found)
-    columns = ["moved", "name", "unit", "value", "std", "probability"]
-    rows = [
-        (c.cause.where, name, unit, value, std, c.cause.probability)
-        for c in moved
-        for name, unit, value, std in zip(c.names, c.units, c.value.tolist(), c.std.tolist(), strict=True)
-    ]
-    lines = tuple(check_lines(found, moved, saved.measurements))
-    return Check(found.good, found.first.p_value, pd.DataFrame(rows, columns=columns), lines)
 
 
 def parser() -> CommandParser:

@@ -7,14 +7,14 @@ import errno
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
 from rich.console import Console
 from rich.text import Text
 
-from aridcal.errors import AridcalError, printable_lines
+from aridcal.errors import AridcalError, printable_lines, shortened
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.showing import Screen, one_thread, unheard
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
@@ -120,6 +120,26 @@ def for_clusters(command: CommandParser) -> None:
         metavar="ADDRESS",
         help="of a Dask cluster, tcp://10.0.0.1:8786 for instance (default: processes of this computer)",
     )
+
+
+def ask(question: str, answers: Sequence[str], why: str) -> int:
+    """Ask on the terminal; the first answer is proposed."""
+    from rich.prompt import IntPrompt  # two commands ask, and seldom
+
+    console = Screen(stderr=True)
+    console.print(f"{question}? ({why})", markup=False)
+    for number, answer in enumerate(answers, start=1):
+        console.print(f"  {number}  {answer}", markup=False, highlight=False)
+    picks = [str(k + 1) for k in range(len(answers))]
+    return IntPrompt.ask("your choice", choices=picks, default=1, console=console) - 1
+
+
+def answer(text: str) -> tuple[str, int]:
+    """A key and the number of an answer: the ``type`` of an argument of argparse."""
+    key, _, number = text.partition("=")
+    if not key or not number.isdecimal() or len(number) > 3:
+        raise argparse.ArgumentTypeError(f"should be KEY=NUMBER, units=2 for instance, not {shortened(text)!r}")
+    return key, int(number)
 
 
 def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:

@@ -60,7 +60,7 @@ from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table, moved
 from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
-from aridcal.showing import told_on
+from aridcal.showing import SHOWN_REMARKS, told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file, write_table
@@ -69,8 +69,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from aridcal.result.stretches import Stretch
-
-SHOWN_REMARKS = 5
 
 
 def parser() -> CommandParser:
@@ -169,7 +167,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
-    answered, trajectory = Answered(calibration), Trajectory(calibration)
+    answered, trajectory = CommandTotals(calibration), Trajectory(calibration)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
@@ -220,7 +218,7 @@ def _joints(text: str | None) -> tuple[float, ...] | None:
 
 
 @dataclass
-class Answered:
+class CommandTotals:
     """What is said of a table once all its stretches have their commands.
 
     Attributes:
@@ -282,7 +280,7 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console)
     )  # fmt: skip
 
 
-def _report(found: Answered, calibration: SavedModel, out: Path, console: Console) -> None:
+def _report(found: CommandTotals, calibration: SavedModel, out: Path, console: Console) -> None:
     """Print remarks, poses out of reach and totals."""
     lines = [*found.remarks.lines(), *found.far]
     if calibration.measurements.joint_reading == "reported":

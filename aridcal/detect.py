@@ -39,6 +39,7 @@ from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.names import check_name, path_argument
+from aridcal.showing import SHOWN_REMARKS
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 from aridcal.writing.tables import in_plain_words
@@ -49,8 +50,6 @@ BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 KINDS: Defaults = {**BOARDS, **TAGS}
 
 COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
-SHOWN = 5
-"""Refused images that the terminal names; ``refused.csv`` has them all."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +248,7 @@ def _write(
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated:  # beside the table, where `init` looks for it
             (folder / CAMERA).write_bytes(text.encode() or stated)
-    lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]
+    lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN_REMARKS]]
     found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
     return [*lines, *said, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 

@@ -148,12 +148,12 @@ def _attempt(what: str, look: Callable[[], Check]) -> Check:
 def _round_trip() -> Check:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.inputs.yaml_file import load_settings
+    from aridcal.jobs.result_folder import write_folder
     from aridcal.prepare.scenario import Scenario
     from aridcal.prepare.simulation import simulate, write_campaign
     from aridcal.result.key_figures import overall
     from aridcal.result.pipeline import identify
     from aridcal.result.saved_model import SavedModel
-    from aridcal.result_folder import write_folder
 
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:

@@ -22,28 +22,20 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
-import pandas as pd
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from aridcal.ageing.history_page import (
     about,
-    alarm_table,
     constant_table,
-    error_table,
     history_page,
-    lines,
     remarks,
-    robot_table,
 )
 from aridcal.ageing.store import read_runs, tables_below
 from aridcal.ageing.wear import History, history
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
-from aridcal.drawing.html import tag
 from aridcal.reading.names import path_argument
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
@@ -54,46 +46,6 @@ FILES = frozenset({"history.html", "history.csv"})
 
 SHOWN = 12
 """Robots that are printed, and lines about them; the page has all."""
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class FleetHistory:
-    """A fleet over time, for Python.
-
-    Attributes:
-        robots: A row for each robot, the worst first.
-        alarms: A row for each constant that changed: when, by how much, [m] and [rad], of a drift for a month.
-        constants: Every constant in every run, [m] and [rad].
-        errors: Errors on held-out rows, run by run.
-        lines: The whole answer in words.
-    """
-
-    robots: pd.DataFrame
-    alarms: pd.DataFrame
-    constants: pd.DataFrame
-    errors: pd.DataFrame
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def over_time(folder: str | Path, robot: str | None = None) -> FleetHistory:
-    """A fleet over time, for Python.
-
-    Args:
-        folder: What `aridcal fleet` wrote, or a folder above several of them.
-        robot: The one to be shown; None: all.
-
-    Raises:
-        AridcalError: there are no runs, or none of this robot.
-    """
-    found = history(read_runs(Path(folder)), robot)
-    tables = robot_table(found), alarm_table(found), constant_table(found), error_table(found)
-    return FleetHistory(*tables, tuple(lines(found)))
 
 
 def parser() -> CommandParser:

@@ -44,12 +44,12 @@ from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
 from aridcal.instruments.channels import INCLINATION
+from aridcal.jobs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.plant.keys import files_of
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.freed import held
 from aridcal.reading.names import path_argument
 from aridcal.result.reading import read_job
-from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.showing import told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import claimed
@@ -59,11 +59,6 @@ if TYPE_CHECKING:
     from aridcal.result.outcome import Outcome, Verification
     from aridcal.trust.gains import NamedEffect
 
-VERDICTS = {
-    "noise_floor": "the remaining error is consistent with the noise",
-    "structure_remains": "a repeatable error remains",
-    "not_enough_data": "too few data for this model",
-}
 MOST_NOTICES = 8
 
 SEED_DIGITS = 18
@@ -79,6 +74,7 @@ def summary(outcome: Outcome, console: Console) -> None:
     from aridcal.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
     from aridcal.result.folder import what_moved
     from aridcal.result.key_figures import another_day, every_held_out_row, over_time
+    from aridcal.result.verdict import VERDICTS
 
     if not outcome.verdict.for_controller:
         console.print(NOT_FOR_A_CONTROLLER, markup=False, style="bold red")
@@ -108,7 +104,7 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(f"verdict: {verdict.word}: {noise_unknown_in_words(outcome)}", markup=False)
         console.print("  declare `noise` in the campaign, or measure some configurations twice", markup=False)
     else:
-        console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
+        console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word].line}", markup=False)
         for reason in verdict.reasons:
             console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:

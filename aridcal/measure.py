@@ -27,6 +27,7 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
+from aridcal.showing import SHOWN_REMARKS
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 from aridcal.writing.tables import in_plain_words
@@ -35,9 +36,6 @@ BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
 
 REFUSED_COLUMNS = ("shot", "image", "why")
-SHOWN = 5
-"""Refused shots that the terminal names; ``refused.csv`` has them all."""
-
 STYLE = """body { font: 14px system-ui, sans-serif; margin: 1.5rem; color: #222; background: #fff }
 main { display: grid; grid-template-columns: repeat(auto-fill, minmax(256px, 1fr)); gap: 1rem }
 figure { margin: 0 } figcaption { font-size: 12px; overflow-wrap: anywhere } .refused { color: #a11 }"""
@@ -163,7 +161,7 @@ def _measure(settings: Path, out: Path, console: Console) -> None:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
-    said = [f"refused: {line}" for line in lines[:SHOWN]]
+    said = [f"refused: {line}" for line in lines[:SHOWN_REMARKS]]
     if head.sonars:
         said += sonar_remarks(results, head.sonars.std)
     said.append(f"{out}: {rows - len(refused)} shots measured, {len(refused)} refused")

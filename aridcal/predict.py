@@ -35,12 +35,10 @@ from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.predict import predict, read_queries
 from aridcal.result.saved_model import SavedModel
-from aridcal.showing import told_on
+from aridcal.showing import SHOWN_REMARKS, told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file
-
-SHOWN_REMARKS = 5
 
 
 def parser() -> CommandParser:
@@ -80,7 +78,7 @@ def _predict(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     if arguments.of is not None:
         calibration = calibration.of_link(arguments.of, arguments.inside)
-    answered = Answered(calibration.measurements.columns.get("x", "x"))
+    answered = PredictionTotals(calibration.measurements.columns.get("x", "x"))
     _, aside = screens(arguments)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("predicting")
@@ -93,7 +91,7 @@ def _predict(arguments: argparse.Namespace) -> None:
 
 
 @dataclass
-class Answered:
+class PredictionTotals:
     """What is said of a table once all its stretches are predicted.
 
     Attributes:
@@ -122,7 +120,7 @@ class Answered:
         self.remarks.add(query)
 
 
-def _report(answered: Answered, out: Path, console: Console) -> None:
+def _report(answered: PredictionTotals, out: Path, console: Console) -> None:
     """Print remarks and totals."""
     for remark in answered.remarks.lines():
         console.print(remark, markup=False, highlight=False, soft_wrap=True)

@@ -25,6 +25,7 @@ from aridcal.identify import main as identify_main
 from aridcal.inputs.purposes import About
 from aridcal.instruments.camera_sonar import CAMERA_SONAR
 from aridcal.instruments.setup import Block
+from aridcal.jobs.result_folder import RESULT_FILES
 from aridcal.report import certificate as module
 from aridcal.report.certificate import FILES, certificate, write_certificate
 from aridcal.report.iso_section import iso
@@ -32,7 +33,6 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.result.saving import calibration
 from aridcal.result.verdict import Verdict
-from aridcal.result_folder import RESULT_FILES
 
 ISSUED = datetime.date(2026, 11, 22)
 ABOUT = {

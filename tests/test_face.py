@@ -26,10 +26,10 @@ import aridcal
 from aridcal import api
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import parse_settings
+from aridcal.jobs.result_folder import RESULT_FILES
 from aridcal.plant.here import here
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result_folder import RESULT_FILES
 
 UR10 = robots.URDF / "ur10.urdf"
 UNDECLARED = robots.URDF.parent / "identification" / "arid-undeclared"

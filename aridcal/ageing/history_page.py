@@ -10,13 +10,14 @@ import pandas as pd
 from aridcal import __version__
 from aridcal.ageing.comparison import p_in_words
 from aridcal.ageing.trend import FEWEST
-from aridcal.ageing.wear import DAY_ZERO, FALSE_ALARMS, History, RobotHistory, Watched
+from aridcal.ageing.wear import DAY_ZERO, History, RobotHistory, Watched
 from aridcal.drawing.frame import framed_page, sections
 from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
 from aridcal.drawing.timelines import Band, sparkline, timeline
 from aridcal.drawing.words import shown_in
 from aridcal.report.page import drawn
 from aridcal.result.outcome import enumerated
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 MONTH = 365.25 / 12
 """[d]"""

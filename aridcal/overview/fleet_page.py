@@ -31,13 +31,9 @@ from aridcal.plant.drifting import Drift, drifting
 from aridcal.plant.figures_of import are_done, channels_of, error_of
 from aridcal.plant.record import Row
 from aridcal.plant.runs import Ran
-from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, StandsOut, makes, standing_out
-
-VERDICTS = {
-    "noise_floor": "noise alone remains",
-    "structure_remains": "structure remains",
-    "not_enough_data": "too few data",
-}
+from aridcal.plant.standing_out import FEWEST, StandsOut, makes, standing_out
+from aridcal.result.verdict import VERDICTS
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
@@ -88,7 +84,7 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         )
     verdicts = Counter(row["verdict"] for row in done)
     if verdicts:
-        said = [f"{VERDICTS.get(word, word)} {count:,}" for word, count in verdicts.most_common()]
+        said = [f"{_verdict(word)} {count:,}" for word, count in verdicts.most_common()]
         yield tag("p", f"Verdicts: {', '.join(said)}.")
 
 
@@ -131,7 +127,7 @@ def _every_robot(done: Sequence[Row]) -> Iterator[Content]:
             of_stages = [error_of(row, stage, channel) for stage in ("final", "nominal", "geometric")]
             further = [error_of(row, "final", channel, figure) for figure in ("p95", "max")]
             further += [error_of(row, "final", other) for other in others]
-            verdict = VERDICTS.get(row["verdict"], str(row["verdict"]))
+            verdict = _verdict(row["verdict"])
             lines.append(
                 [_link(row), *map(number, [*of_stages, *further]), f"{row['rows']:,}", row["measured"][:10], verdict]
             )
@@ -309,3 +305,8 @@ def _name(robot: str) -> Html:
 def _link(row: Row) -> Html:
     """A robot's name, which leads to its report."""
     return tag("a", _name(row["robot"]), href=f"{quote(row['robot'])}/report.html")
+
+
+def _verdict(word: str) -> str:
+    """A verdict in a cell; one that a later version wrote as it is."""
+    return VERDICTS[word].cell if word in VERDICTS else str(word)

@@ -15,9 +15,8 @@ from aridcal.drawing.words import shown_in
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.curves import CONFIDENCE, Estimate, Point, found_again, points, scatters
-from aridcal.plant.record import FAILED
+from aridcal.plant.record import FAILED, Row
 from aridcal.plant.studied import Studied
-from aridcal.plant.trials import Row
 
 INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
 

@@ -49,6 +49,7 @@ from aridcal.result.key_figures import (
     steps,
 )
 from aridcal.result.outcome import Outcome, errors, leading
+from aridcal.result.verdict import VERDICTS
 from aridcal.result.zeros import joint_zeros
 from aridcal.search.noise_tests import Clue
 
@@ -83,13 +84,6 @@ MOST_NAMES = 3
 FAINT = 1e-3
 
 SPELLED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-
-VERDICTS = {
-    "noise_floor": "The remaining error is consistent with the measurement noise. Nothing repeatable is left to model.",
-    "structure_remains": "A repeatable error remains that the model does not describe. Section 5 shows what drives it.",
-    "not_enough_data": "There are too few data for a model of this size. Measure more rows, spread over more of each "
-    "joint's range, or identify fewer parameters.",
-}
 
 
 def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator[Content]:
@@ -296,7 +290,7 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
         sentence = noise_unknown_in_words(outcome)
         yield f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
     else:
-        yield VERDICTS[said.word]
+        yield VERDICTS[said.word].sentences
     if said.reasons and not said.noise_unknown:
         yield f" Signs of it: {'; '.join(said.reasons)}."
     if said.share > 0:
