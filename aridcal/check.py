@@ -43,12 +43,12 @@ from aridcal.inputs.measurement_settings import length_argument
 from aridcal.planning.design import joint_table
 from aridcal.planning.travel import short_order
 from aridcal.reading.names import path_argument
-from aridcal.result.outcome import enumerated
 from aridcal.result.saved_model import SavedModel
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
+from aridcal.wording import enumerated
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table

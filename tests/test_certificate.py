@@ -18,7 +18,7 @@ import yaml
 from lxml import html
 
 from aridcal.calibration import Calibration
-from aridcal.drawing.html import join, number
+from aridcal.drawing.html import join
 from aridcal.drawing.one_page import OnePage, as_html
 from aridcal.errors import CampaignError
 from aridcal.identify import main as identify_main
@@ -33,6 +33,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.result.saving import calibration
 from aridcal.result.verdict import Verdict
+from aridcal.wording import number
 
 ISSUED = datetime.date(2026, 11, 22)
 ABOUT = {

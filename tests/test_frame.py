@@ -14,7 +14,7 @@ import robots
 from lxml import html
 
 from aridcal.drawing.frame import Section, card, empty_page, filled, framed_page
-from aridcal.drawing.html import Html, number, plain, plus_minus, table, tag
+from aridcal.drawing.html import Html, plain, table, tag
 from aridcal.drawing.one_page import OnePage, Part, as_html
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient, Effect
@@ -29,6 +29,7 @@ from aridcal.result.outcome import Outcome, Verification
 from aridcal.result.pipeline import identify
 from aridcal.result.zeros import joint_zeros, zero_of
 from aridcal.trust.gains import Diagnosis, NamedEffect
+from aridcal.wording import number, plus_minus
 
 ASSETS = Path(__file__).parents[1] / "aridcal" / "drawing" / "assets"
 HOSTILE = """<img src=x onerror="alert('1')"> & </td></title></style><script>alert(1)</script>{{ 7 * 7 }}{% raw %}"""

@@ -112,6 +112,15 @@ def test_a_module_imports_only_what_lies_below_it(path: Path) -> None:
         assert complaints(path.read_text("utf-8"), name_of(path)) == []
 
 
+@pytest.mark.parametrize("room", ["ageing", "plant", "upkeep", "trust", "planning", "logs"])
+def test_what_computes_draws_nothing(room: str) -> None:
+    """Of these rooms only modules that are called pages know of HTML."""
+    for path in (PACKAGE / room).rglob("*.py"):
+        if not path.stem.endswith("page"):
+            names = set(imported(path.read_text("utf-8"), name_of(path)))
+            assert not {name for name in names if name.startswith(("aridcal.drawing", "aridcal.report"))}, path.name
+
+
 def test_every_module_has_one_place_and_every_place_a_module() -> None:
     there = {name for path in MODULES if (name := name_of(path)) in PLACE or path.name != "__init__.py"}
     assert sum(len(modules) for _, modules in HOUSE) == len(PLACE)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from lxml import html
 
-from aridcal.drawing.html import Html, bullets, counted, fixed, join, number, plus_minus, table, tag
+from aridcal.drawing.html import Html, bullets, join, table, tag
+from aridcal.wording import counted, fixed, number, plus_minus
 
 HOSTILE = """<img src=x onerror="alert('1')"> & </td><script>alert(1)</script>"""
 

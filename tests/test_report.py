@@ -16,7 +16,7 @@ import robots
 from lxml import html
 from rich.console import Console
 
-from aridcal.drawing.html import Html, join, number
+from aridcal.drawing.html import Html, join
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Coefficient, Effect
@@ -36,6 +36,7 @@ from aridcal.robot.doty import doty_links
 from aridcal.search.noise_tests import Clue
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.trust.halves import Halves
+from aridcal.wording import number
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""

@@ -11,9 +11,9 @@ from aridcal import __version__
 from aridcal.ageing.comparison import Comparison, constants, lines, p_in_words, worst
 from aridcal.drawing.figures import histogram
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, figures, number, plus_minus, table, tag
-from aridcal.drawing.words import reading_in_words, shown_in
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.report.page import drawn
+from aridcal.wording import number, plus_minus, reading_in_words, shown_in
 
 LISTED = 40
 """Coefficients that the page lists; `compare.json` has all."""

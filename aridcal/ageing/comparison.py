@@ -11,12 +11,10 @@ import numpy as np
 from aridcal import __version__
 from aridcal.ageing.changes import Cause, Causes, causes, untold_zeros
 from aridcal.ageing.difference import Difference, difference
-from aridcal.drawing.html import number, plus_minus
-from aridcal.drawing.words import shown_in
-from aridcal.result.outcome import enumerated
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import Robot
 from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import enumerated, number, plus_minus, shown_in
 
 LARGE = 3e-3
 """[m] and [rad]: a change above this is no longer linear: terms of second order reach 10 um and 10 urad."""

@@ -44,7 +44,6 @@ from scipy.linalg import svd
 from scipy.stats import f as fisher
 
 from aridcal.ageing.poses import OVER_TIME, seen_by_both
-from aridcal.drawing.html import counted
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.normal_equations import across, pseudo_inverse
 from aridcal.result.saved_model import SavedModel, SolvedModel
@@ -52,6 +51,7 @@ from aridcal.robot.chain import Robot
 from aridcal.trust.workspace import LOOSE
 from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.upkeep.repair import unit_of
+from aridcal.wording import counted
 
 SMALLEST = 1e-7
 """[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""

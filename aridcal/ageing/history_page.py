@@ -12,12 +12,11 @@ from aridcal.ageing.comparison import p_in_words
 from aridcal.ageing.trend import FEWEST
 from aridcal.ageing.wear import DAY_ZERO, History, RobotHistory, Watched
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.drawing.timelines import Band, sparkline, timeline
-from aridcal.drawing.words import shown_in
 from aridcal.report.page import drawn
-from aridcal.result.outcome import enumerated
 from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import counted, enumerated, number, plus_minus, shown_in
 
 MONTH = 365.25 / 12
 """[d]"""

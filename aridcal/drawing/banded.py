@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from aridcal.drawing.figures import AFTER, BEFORE, GREY
-from aridcal.drawing.html import Html, number, tag
+from aridcal.drawing.html import Html, tag
+from aridcal.wording import number
 
 COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
 """Okabe and Ito's, which everybody can tell apart; of more curves the first ones are drawn."""

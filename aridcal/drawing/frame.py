@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from aridcal.drawing.html import Content, Html, join, number
+from aridcal.drawing.html import Content, Html, join
 from aridcal.errors import printable_lines
+from aridcal.wording import number
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -1,11 +1,10 @@
-"""HTML that is safe by construction (text is escaped unless it is markup already), and numbers as text.
+"""HTML that is safe by construction (text is escaped unless it is markup already).
 
 What only serves looks fails by itself: a notice in its place (:func:`attempt`), and everything else goes on.
 """
 
 from __future__ import annotations
 
-import math
 import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -30,9 +29,6 @@ Content = str | Sequence["Content"]
 
 # Elements without content.
 VOID = frozenset({"meta", "br"})
-
-# Numbers between the first two are written without an exponent, with no more decimals than the third.
-SMALL, LARGE, MOST_DECIMALS = 1e-4, 1e6, 9
 
 ON_A_PHONE, HALF_A_PHONE = 46, 20
 """Letters of a table side by side on a phone, 390 px wide, and of a number with its title in half of that width."""
@@ -175,41 +171,6 @@ def bullets(items: Iterable[Content], most: int | None = None, what: str = "more
 def codes(names: Sequence[str]) -> Content:
     """Names one after the other, set as code."""
     return [part for name in names for part in (", ", tag("code", name))][1:]
-
-
-def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, a dash where there is none.
-
-    ``0.0123`` and ``1,234`` are written out; what is below :data:`SMALL` or from :data:`LARGE` on has an exponent.
-    """
-    if not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    size = abs(value)
-    if not SMALL <= size < LARGE:
-        return f"{value:.{digits - 1}e}".replace("-", "−")
-    leading = math.floor(math.log10(size))  # place of the first digit: 0 for 1 to 9.99
-    return fixed(value, max(digits - 1 - leading, 0))
-
-
-def plus_minus(value: float, std: float) -> str:
-    """A value with its standard deviation, both to two digits of the latter; the value alone if there is none."""
-    if not (math.isfinite(std) and std > 0):
-        return number(value, 4)
-    leading = math.floor(math.log10(std))
-    decimals = min(max(1 - leading, 0), MOST_DECIMALS)
-    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"
-
-
-def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals, and no sign on zero."""
-    return f"{round(value, decimals) + 0.0:,.{decimals}f}".replace("-", "−")
-
-
-def counted(count: int, what: str) -> str:
-    """A number of things: `1 row`, `1,495 rows`."""
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 @contextmanager

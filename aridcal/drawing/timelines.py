@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.drawing.figures import AFTER, BEFORE, GREY
-from aridcal.drawing.html import Html, number, tag
+from aridcal.drawing.html import Html, tag
+from aridcal.wording import number
 
 WIDTH, HEIGHT = 340.0, 180.0
 LEFT, RIGHT, TOP, BOTTOM = 64.0, 12.0, 10.0, 26.0

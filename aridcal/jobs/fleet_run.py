@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aridcal.drawing.html import counted
 from aridcal.errors import shortened
 from aridcal.jobs.result_folder import write_folder
 from aridcal.overview.fleet_page import fleet_page
@@ -17,6 +16,7 @@ from aridcal.plant.here import here
 from aridcal.plant.members import TAKEN, Member
 from aridcal.plant.runs import Ran, computed, planned
 from aridcal.showing import InWords, Progress
+from aridcal.wording import counted
 from aridcal.writing.files import atomic_file, claimed
 from aridcal.writing.staging import clear_up
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aridcal.drawing.html import counted
 from aridcal.errors import shortened
 from aridcal.inputs.campaign import Campaign
 from aridcal.overview.study_page import study_page
@@ -18,6 +17,7 @@ from aridcal.plant.studied import NAME, Studied, known_runs, studied
 from aridcal.plant.trials import sought, trials
 from aridcal.prepare.scenario import Scenario
 from aridcal.showing import InWords, Progress
+from aridcal.wording import counted
 from aridcal.writing.files import atomic_file, claimed
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -31,6 +31,7 @@ from aridcal.drawing.plot import (
 )
 from aridcal.logs.merging import Merged
 from aridcal.logs.standstills import speeds
+from aridcal.wording import number
 
 STRETCHES = 3
 """Pictures of the speeds: beginning, middle and end, for what is off at one end only is seen in no single picture."""

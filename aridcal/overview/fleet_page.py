@@ -12,19 +12,7 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.figures import falling
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import (
-    Content,
-    Html,
-    bullets,
-    counted,
-    figures,
-    fixed,
-    number,
-    plus_minus,
-    table,
-    tag,
-)
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.drifting import Drift, drifting
@@ -34,6 +22,7 @@ from aridcal.plant.runs import Ran
 from aridcal.plant.standing_out import FEWEST, StandsOut, makes, standing_out
 from aridcal.result.verdict import VERDICTS
 from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import counted, fixed, number, plus_minus, shown_in
 
 MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""

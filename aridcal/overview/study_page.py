@@ -10,13 +10,13 @@ import numpy as np
 from aridcal import __version__
 from aridcal.drawing.banded import COLOURS, banded
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, Html, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.curves import CONFIDENCE, Estimate, Point, found_again, points, scatters
 from aridcal.plant.record import FAILED, Row
 from aridcal.plant.studied import Studied
+from aridcal.wording import counted, number, shown_in
 
 INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
 

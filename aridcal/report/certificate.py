@@ -12,17 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from aridcal import __version__
-from aridcal.drawing.html import attempt, counted, note, noting, number
+from aridcal.drawing.html import attempt, note, noting
 from aridcal.drawing.one_page import OnePage, Part, as_html, as_pdf
-from aridcal.drawing.words import (
-    LONGEST_NAME,
-    NOT_STATED,
-    named,
-    noise_unknown_in_words,
-    range_in_words,
-    scale_in_words,
-    who_and_what,
-)
+from aridcal.drawing.words import LONGEST_NAME, NOT_STATED, named, noise_unknown_in_words, scale_in_words, who_and_what
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
@@ -35,6 +27,7 @@ from aridcal.result.saving import ends, holes, seen_in
 from aridcal.result.verdict import VERDICTS
 from aridcal.trust.iso9283 import STANDARD
 from aridcal.trust.tolerance import CONFIDENCE, SHARE
+from aridcal.wording import counted, number, range_in_words
 
 FILES = ("certificate.html", "certificate.pdf")
 

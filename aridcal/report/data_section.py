@@ -8,13 +8,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.drawing.figures import coverage, histogram
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
+from aridcal.drawing.words import per_number, sigmas_in_words
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics
+from aridcal.wording import counted, number, range_in_words
 
 # Lines of a list of rows.
 MOST = 25

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from aridcal.drawing.figures import Trend, correlogram, of_cloud, panels
-from aridcal.drawing.html import Content, Html, figures, number, table, tag
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, Html, figures, table, tag
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
@@ -14,6 +13,7 @@ from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Order, Trace
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.gains import Diagnosis
+from aridcal.wording import number, shown_in
 
 MOST_TRACES = 12
 

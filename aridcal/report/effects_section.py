@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.drawing.figures import curve, of_cloud
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
-from aridcal.drawing.words import how_to_separate, shown_in
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
+from aridcal.drawing.words import how_to_separate
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, Coefficient, Effect
@@ -18,6 +18,7 @@ from aridcal.effects.regional_kind import is_field, is_of_labels, labels_of
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect
+from aridcal.wording import counted, number, plus_minus, shown_in
 
 MOST_REJECTED = 15
 MOST_BARRED = 25

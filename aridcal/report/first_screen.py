@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from aridcal.drawing.frame import card
-from aridcal.drawing.html import Content, Html, codes, counted, number, tag
+from aridcal.drawing.html import Content, Html, codes, tag
 from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
     NOT_FOR_A_CONTROLLER,
@@ -52,6 +52,7 @@ from aridcal.result.outcome import Outcome, errors, leading
 from aridcal.result.verdict import VERDICTS
 from aridcal.result.zeros import joint_zeros
 from aridcal.search.noise_tests import Clue
+from aridcal.wording import counted, number
 
 NO_BETTER = " No model can reliably do better."
 BELOW = (

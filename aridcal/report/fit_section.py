@@ -8,14 +8,14 @@ import numpy as np
 
 from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import histogram, of_cloud, panels
-from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
-from aridcal.drawing.words import reading_in_words
+from aridcal.drawing.html import Content, Html, figures, table, tag
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.second_look_section import halves, left_out
 from aridcal.result.key_figures import axis_rms, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors
 from aridcal.robot.kinematics import start_frames
+from aridcal.wording import counted, number, reading_in_words
 
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import pinocchio as pin
 
-from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, Html, table, tag
 from aridcal.fit.closed_form import ClosedForm
 from aridcal.report.identified_section import length_or_angle
 from aridcal.result.key_figures import scored
 from aridcal.result.measuring_head import HeadNumber, MeasuringHead
 from aridcal.result.outcome import Outcome, errors
+from aridcal.wording import counted, fixed, number, plus_minus
 
 # Link parameters of the closed form: symbol, column of a row (d, θ, β, a, α), and whether it is an angle.
 LINKS = (("θ", 1, True), ("β", 2, True), ("a", 3, False), ("α", 4, True))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from aridcal.drawing.html import Content, Html, codes, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, Html, codes, table, tag
 from aridcal.drawing.parts import zero_in_words
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
@@ -16,6 +16,7 @@ from aridcal.result.key_figures import constants, solved_stages
 from aridcal.result.outcome import Outcome
 from aridcal.result.zeros import joint_zeros
 from aridcal.robot.doty import Link, doty_links
+from aridcal.wording import counted, fixed, number, plus_minus
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 ZERO = "axis"

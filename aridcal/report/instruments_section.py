@@ -7,14 +7,15 @@ from itertools import groupby
 
 import numpy as np
 
-from aridcal.drawing.html import Content, Html, codes, counted, number, plus_minus, table, tag
-from aridcal.drawing.words import scale_in_words, shown_in
+from aridcal.drawing.html import Content, Html, codes, table, tag
+from aridcal.drawing.words import scale_in_words
 from aridcal.fit.constants import has_world
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.pixels import ON_TIP
 from aridcal.result.instruments import ThingValue, known_scale
 from aridcal.result.key_figures import row_errors
 from aridcal.result.outcome import Outcome, leading
+from aridcal.wording import counted, number, plus_minus, shown_in
 
 MOST_THINGS = 40
 """Lines of a table of things: result.json has them all."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.html import Content, Html, counted, number, table, tag
+from aridcal.drawing.html import Content, Html, table, tag
 from aridcal.result.outcome import Outcome
 from aridcal.trust.iso9283 import (
     ASKED_CYCLES,
@@ -22,6 +22,7 @@ from aridcal.trust.iso9283 import (
     Iso9283,
     applies,
 )
+from aridcal.wording import counted, number
 
 MOST = 30
 """Poses that the table lists."""

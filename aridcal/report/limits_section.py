@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from aridcal.drawing.html import Content, Html, bullets, codes, number, table, tag
-from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
+from aridcal.drawing.html import Content, Html, bullets, codes, table, tag
+from aridcal.drawing.words import per_number, sigmas_in_words
 from aridcal.report.workspace_section import workspace
 from aridcal.result.controllers import INDEX, Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome
+from aridcal.wording import number, range_in_words
 
 # How the names of the coefficients of the target's frame begin.
 AT_TIP = ("tip_target.", "tip_target[")

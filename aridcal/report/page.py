@@ -7,7 +7,7 @@ from pathlib import Path
 
 from aridcal import __version__
 from aridcal.drawing.frame import Section, empty_page, framed_page
-from aridcal.drawing.html import Content, Html, attempt, counted, join, missing, noting
+from aridcal.drawing.html import Content, Html, attempt, join, missing, noting
 from aridcal.inputs.dataset import Dataset
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
@@ -21,6 +21,7 @@ from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
 from aridcal.showing import SILENT, Progress
+from aridcal.wording import counted
 
 # Anchor, title and content.
 Chapter = tuple[str, str, Iterable[Content]]

@@ -10,13 +10,13 @@ from aridcal import __version__
 from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import coverage, falling
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.drawing.words import range_in_words, reading_in_words
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.planning.coverage import Sigma
 from aridcal.planning.design import Plan
 from aridcal.planning.rivals import duel_lines
 from aridcal.result.key_figures import joint_range
 from aridcal.robot.chain import Robot
+from aridcal.wording import counted, number, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}
 """Two planes in which targets are shown: numbers of their axes."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from aridcal.drawing.html import Content, Html, bullets, counted, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, table, tag
 from aridcal.drawing.parts import combination_in_words, constant_in_words, division_in_words, p_of_halves, pair_in_words
 from aridcal.report.data_section import row_place
 from aridcal.result.instruments import known_scale
@@ -14,6 +14,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.trust.halves import Halves
 from aridcal.trust.known import Combination, Known
 from aridcal.trust.left_out import DECIDES, FOLDS, Influence
+from aridcal.wording import counted, number
 
 MOST_ROWS = 5
 MOST_PAIRS = 5

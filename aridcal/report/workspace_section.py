@@ -7,11 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from aridcal.drawing.fields import color_steps, field
-from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
+from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
 from aridcal.drawing.words import kept_in_words
 from aridcal.result.outcome import Outcome
 from aridcal.trust.certainty import Certainty
 from aridcal.trust.workspace import Workspace
+from aridcal.wording import number
 
 
 def workspace(outcome: Outcome) -> Iterator[Content]:
