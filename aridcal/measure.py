@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.drawing.html import Html, tag
+from aridcal.drawing.html import tag
 from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
@@ -70,7 +71,7 @@ def refused_table(table: Table, results: Sequence[Measured]) -> pd.DataFrame:
     return pd.DataFrame([*shots, *unread], columns=list(REFUSED_COLUMNS))
 
 
-def contact_sheet(results: Sequence[Measured], title: str) -> Html:
+def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
     """Show all images with what was found in them, as one page that needs nothing else.
 
     Args:
@@ -81,15 +82,15 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Html:
     for m in results:
         content = base64.b64encode(m.thumbnail).decode()
         source = f"data:image/jpeg;base64,{content}"
-        image = Html(f'<img alt="" width="{THUMBNAIL}" src="{source}">') if m.thumbnail else Html("")
+        image = Markup(f'<img alt="" width="{THUMBNAIL}" src="{source}">') if m.thumbnail else Markup("")
         caption = f"shot {m.shot.line}, {m.shot.image}: {_found(m) or m.why}"
         text = tag("figcaption", caption) if _found(m) else tag("figcaption", caption, class_="refused")
         figures.append(tag("figure", image, text))
     good = sum(m.std is not None for m in results)
-    head = tag("head", Html('<meta charset="utf-8">'), tag("title", title), tag("style", Html(STYLE)))
+    head = tag("head", Markup('<meta charset="utf-8">'), tag("title", title), tag("style", Markup(STYLE)))
     summary = tag("p", f"{good} of {len(results)} shots measured.")
     body = tag("body", tag("h1", title), summary, tag("main", figures))
-    return Html("<!doctype html>" + tag("html", head, body, lang="en"))
+    return Markup("<!doctype html>") + tag("html", head, body, lang="en")
 
 
 def _found(m: Measured) -> str:

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 from lxml import etree
+from markupsafe import Markup
 
 from aridcal.drawing.fields import LEVELS, SQUARES, color_steps, field
 from aridcal.drawing.figures import Trend, correlogram, coverage, curve, falling, histogram, panels
-from aridcal.drawing.html import Html, noting
+from aridcal.drawing.html import noting
 from aridcal.drawing.plot import Area, Named, Scale, along, legend, scale, written
 from aridcal.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
 
@@ -25,17 +26,17 @@ def numbers(d: str) -> np.ndarray:
     return np.array(re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", d), dtype=float).reshape(-1, 2)
 
 
-def svg(drawn: Html) -> etree._Element:
+def svg(drawn: Markup) -> etree._Element:
     return etree.fromstring(drawn.encode())
 
 
-def dots_of(drawn: Html, color: str) -> np.ndarray:
+def dots_of(drawn: Markup, color: str) -> np.ndarray:
     """Where dots of a colour are, shape (n, 2)."""
     found = [p for p in svg(drawn).iter("path") if p.get("stroke") == color and p.get("stroke-linecap") == "round"]
     return numbers("".join(p.get("d") for p in found))
 
 
-def ticks(drawn: Html) -> tuple[dict[float, float], dict[float, float]]:
+def ticks(drawn: Markup) -> tuple[dict[float, float], dict[float, float]]:
     """Places of the numbers of both axes, by their value."""
     words = [t for t in svg(drawn).iter("text") if re.fullmatch(r"[−\d.,e]+", t.text or "")]
     value = {t: float((t.text or "").replace("−", "-").replace(",", "")) for t in words}
@@ -188,7 +189,7 @@ def test_a_figure_of_nothing_is_a_line_in_its_place() -> None:
 # ---- one colour scale ------------------------------------------------------------------------------------------------
 
 
-def colors_of(drawn: Html) -> dict[str, int]:
+def colors_of(drawn: Markup) -> dict[str, int]:
     """How many dots each colour has."""
     return {color: len(dots_of(drawn, color)) for color in LEVELS}
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.figures import AFTER, BEFORE, GREY
-from aridcal.drawing.html import Html, tag
+from aridcal.drawing.html import tag
 from aridcal.wording import number
 
 COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
@@ -25,7 +26,7 @@ TICKS = 5
 
 def banded(
     alt: str, at: np.ndarray, values: Mapping[str, np.ndarray], labels: tuple[str, str], top: float | None
-) -> Html:
+) -> Markup:
     """Some curves over one axis, each with the interval of its points.
 
     Args:
@@ -55,7 +56,7 @@ def banded(
     return tag("svg", parts, class_="plot", role="img", font_size="10", **size)
 
 
-def _axes(ends: tuple[tuple[float, float], tuple[float, float]], labels: tuple[str, str]) -> list[Html]:
+def _axes(ends: tuple[tuple[float, float], tuple[float, float]], labels: tuple[str, str]) -> list[Markup]:
     """Lines with their numbers, and the names of both axes."""
     parts = []
     for value in _ticks(*ends[0]):
@@ -88,7 +89,7 @@ def _said(value: float) -> str:
     return text.rstrip("0").rstrip(".") if "." in text and "e" not in text else text
 
 
-def _text(x: float, y: float, said: str, anchor: str, transform: str | None = None) -> Html:
+def _text(x: float, y: float, said: str, anchor: str, transform: str | None = None) -> Markup:
     return tag("text", said, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, fill="#333b44", transform=transform)
 
 

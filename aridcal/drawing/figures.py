@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import ParamSpec
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Html, attempt, missing
+from aridcal.drawing.html import attempt, missing
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -51,15 +52,15 @@ EDGES = (34.0, 8.0)
 """Room below an area, for ticks and their label, and at its right."""
 
 
-def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Html]:
+def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Markup]:
     """Turn a function that draws into one that returns a line in its place if it fails.
 
     Its first two arguments are ``key`` and ``alt``.
     """
 
     @functools.wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Html:
-        return attempt(f"report.html: the figure {str(args[0])!r}", lambda: Html(draw(*args, **kwargs)), missing)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Markup:
+        return attempt(f"report.html: the figure {str(args[0])!r}", lambda: Markup(draw(*args, **kwargs)), missing)
 
     return drawn
 

@@ -5,24 +5,15 @@ What only serves looks fails by itself: a notice in its place (:func:`attempt`),
 
 from __future__ import annotations
 
-import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from html import escape, unescape
 from typing import TypeVar
 
+from markupsafe import Markup, escape
+
 from aridcal.errors import printable, printable_lines, shortened
-
-
-class Html(str):
-    """Text that is markup and goes into a page as it is."""
-
-    def __html__(self) -> Html:
-        """What templates ask markup for; text without it is escaped there."""
-        return self
-
 
 # Text, which is escaped; markup, which is not; or a sequence of either.
 Content = str | Sequence["Content"]
@@ -47,7 +38,7 @@ LONGEST = 300
 _missing: ContextVar[list[str] | None] = ContextVar("missing", default=None)
 
 
-def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
+def tag(name: str, /, *content: Content, **attributes: str | None) -> Markup:
     """An element with its content.
 
     Args:
@@ -65,25 +56,25 @@ def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
             pairs += f' {written}="{escape(printable_lines(value))}"'
     start = f"<{name}{pairs}>"
     if name in VOID:
-        return Html(start)
-    return Html(f"{start}{join(content)}</{name}>")
+        return Markup(start)
+    return Markup(f"{start}{join(content)}</{name}>")
 
 
-def join(content: Content) -> Html:
+def join(content: Content) -> Markup:
     """Content one after the other: text is escaped, markup goes in as it is."""
-    if isinstance(content, Html):
+    if isinstance(content, Markup):
         return content
     if isinstance(content, str):
-        return Html(escape(printable_lines(content)))
-    return Html("".join(join(part) for part in content))
+        return escape(printable_lines(content))
+    return Markup("").join(join(part) for part in content)
 
 
-def missing(notice: str) -> Html:
+def missing(notice: str) -> Markup:
     """The line that stands where something could not be drawn."""
     return tag("p", notice, class_="missing")
 
 
-def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Html:
+def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Markup:
     """A table; where the page is narrow, one that is too wide for it stands row below row, each cell with its column's title.
 
     Args:
@@ -93,8 +84,8 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
         numbers: From this column on cells are numbers, set to the right.
     """
     lines = [[join(cell) for cell in row] for row in rows]
-    shown = [[plain(cell) for cell in row] for row in lines]
-    names = [plain(join(title)) for title in head]
+    shown = [[cell.striptags() for cell in row] for row in lines]
+    names = [join(title).striptags() for title in head]
     columns = [[name, *(row[k] for row in shown)] for k, name in enumerate(names)]
     stacked = sum(_letters(column, k >= numbers) + BETWEEN for k, column in enumerate(columns)) > ON_A_PHONE
 
@@ -104,13 +95,13 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
     def kind(column: int) -> str | None:
         return "n" if column >= numbers else None
 
-    def cell(column: int, content: Html) -> Html:
+    def cell(column: int, content: Markup) -> Markup:
         if not stacked:
             return tag("td", content, class_=kind(column))
         begins = pairs and column >= numbers and ":" in names[column]  # of several numbers that belong together
         return tag("td", content, class_="n first" if begins else kind(column), data_label=names[column])
 
-    def line(row: Sequence[Html]) -> Html:
+    def line(row: Sequence[Markup]) -> Markup:
         return tag(
             "tr", tag("th", row[0], scope="row"), [cell(k, content) for k, content in enumerate(row[1:], start=1)]
         )
@@ -122,11 +113,6 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
         "table", tag("caption", caption), top, body, class_="stacked pairs" if pairs else "stacked" if stacked else None
     )
     return tag("div", whole, class_="scroll", tabindex="0", role="group", aria_label="table")
-
-
-def plain(markup: Html) -> str:
-    """What a reader sees of markup, without its elements."""
-    return unescape(re.sub("<[^>]*>", "", markup))
 
 
 def _letters(column: Sequence[str], numbers: bool) -> int:
@@ -143,7 +129,7 @@ def _letters(column: Sequence[str], numbers: bool) -> int:
     )
 
 
-def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
+def figures(drawn: Iterable[tuple[Content, Markup]]) -> Markup:
     """Figures side by side where there is room.
 
     Args:
@@ -153,7 +139,7 @@ def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
     return tag("div", made, class_="figures")
 
 
-def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Html:
+def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Markup:
     """A list; of a long one the first items and the number of the others.
 
     Args:

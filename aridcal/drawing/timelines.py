@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.figures import AFTER, BEFORE, GREY
-from aridcal.drawing.html import Html, tag
+from aridcal.drawing.html import tag
 from aridcal.wording import number
 
 WIDTH, HEIGHT = 340.0, 180.0
@@ -37,7 +38,7 @@ class Band:
     words: str
 
 
-def sparkline(values: np.ndarray, alt: str) -> Html:
+def sparkline(values: np.ndarray, alt: str) -> Markup:
     """A line through values (n,), their last one a dot; NaN are left out."""
     there = np.flatnonzero(np.isfinite(values))
     if not len(there):
@@ -64,7 +65,7 @@ def timeline(
     label: str,
     alt: str,
     bands: Sequence[Band] = (),
-) -> Html:
+) -> Markup:
     """Values with bars of two sigma over time.
 
     Args:
@@ -86,7 +87,7 @@ def timeline(
     def up(values: np.ndarray) -> np.ndarray:
         return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (values - low) / (high - low)
 
-    parts: list[Html] = []
+    parts: list[Markup] = []
     for band in bands:
         a, b = across(np.array([max(band.low, first), min(band.high, last)]))
         parts.append(
@@ -130,11 +131,11 @@ def _points(x: np.ndarray, y: np.ndarray) -> str:
     return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
 
 
-def _line(x1: float, y1: float, x2: float, y2: float, color: str) -> Html:
+def _line(x1: float, y1: float, x2: float, y2: float, color: str) -> Markup:
     return tag("line", x1=f"{x1:.1f}", y1=f"{y1:.1f}", x2=f"{x2:.1f}", y2=f"{y2:.1f}", stroke=color, stroke_width="1.2")
 
 
-def _text(x: float, y: float, words: str, anchor: str) -> Html:
+def _text(x: float, y: float, words: str, anchor: str) -> Markup:
     return tag("text", words, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=anchor, font_size="10", fill=GREY)
 
 

@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.drawing.figures import falling
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.drifting import Drift, drifting
@@ -28,7 +29,7 @@ MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
 
 
-def fleet_page(ran: Ran, title: str) -> Html:
+def fleet_page(ran: Ran, title: str) -> Markup:
     """The page of a fleet, self-contained but for its links to each robot's report.
 
     Args:
@@ -90,7 +91,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
     """Errors of all robots, one picture for each channel that judges."""
     if not done:
         yield tag("p", "No robot was calibrated.")
-    pictures: list[tuple[Content, Html]] = []
+    pictures: list[tuple[Content, Markup]] = []
     for channel in _leading(done):
         own = _worst_first(done, channel)
         unit = _unit(channel)
@@ -286,12 +287,12 @@ def _said(value: float, channel: str) -> str:
     return f"{number(value)} {_unit(channel)}"
 
 
-def _name(robot: str) -> Html:
+def _name(robot: str) -> Markup:
     """A robot's name on one line."""
     return tag("span", robot, style="white-space: nowrap")
 
 
-def _link(row: Row) -> Html:
+def _link(row: Row) -> Markup:
     """A robot's name, which leads to its report."""
     return tag("a", _name(row["robot"]), href=f"{quote(row['robot'])}/report.html")
 

@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.drawing.banded import COLOURS, banded
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, figures, table, tag
+from aridcal.drawing.html import Content, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.curves import CONFIDENCE, Estimate, Point, found_again, points, scatters
@@ -24,7 +25,7 @@ MOST_ERRORS = 10
 """Different reasons of failed runs that are told."""
 
 
-def study_page(done: Studied, title: str, effect: str, halves: bool) -> Html:
+def study_page(done: Studied, title: str, effect: str, halves: bool) -> Markup:
     """The page of a study, self-contained.
 
     Args:
@@ -138,13 +139,13 @@ def _by_rows_or_sizes(
     label: str,
     of: Callable[[Point], tuple[float, float, float]],
     top: float | None,
-) -> list[tuple[Content, Html]]:
+) -> list[tuple[Content, Markup]]:
     """Curves against the number of rows, one for each size; against sizes, one for each number of rows; what is varied."""
     rows = sorted({p.rows for p in cases if p.rows is not None})
     sizes = sorted({p.size for p in cases if p.size is not None})
     at = {(p.rows, p.size): of(p) for p in cases}
     nothing = (np.nan,) * 3
-    pictures: list[tuple[Content, Html]] = []
+    pictures: list[tuple[Content, Markup]] = []
     if len(rows) > 1:
         chosen = _spread(sizes or [None])
         curves = {

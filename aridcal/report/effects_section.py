@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.figures import curve, of_cloud
-from aridcal.drawing.html import Content, Html, bullets, figures, table, tag
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.drawing.words import how_to_separate
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
@@ -49,7 +50,7 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
     yield from _confounded(outcome)
 
 
-def _gains(outcome: Outcome) -> Html:
+def _gains(outcome: Outcome) -> Markup:
     """Errors on held-out rows without each effect and with it."""
     head = ["effect", "moves", "depends on", "source", "p-value"]
     for channel in outcome.channels:
@@ -80,7 +81,7 @@ def p_in_words(p: float) -> str:
     return "below 1e−100" if p < TINY else number(p, 2)
 
 
-def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Html]:
+def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Markup]:
     """Caption and picture of one motion of an effect over one covariate."""
     unit, scale = axis_unit(outcome, found.covariate)
     moved, size = shown_in(found.unit)

@@ -6,9 +6,10 @@ import math
 from collections.abc import Collection, Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.frame import card
-from aridcal.drawing.html import Content, Html, codes, tag
+from aridcal.drawing.html import Content, codes, tag
 from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
     NOT_FOR_A_CONTROLLER,
@@ -138,7 +139,7 @@ def _who_and_what(outcome: Outcome) -> Iterator[Content]:
         yield f" in the campaign: {', '.join(rest)}."
 
 
-def _card(outcome: Outcome, k: int) -> Html:
+def _card(outcome: Outcome, k: int) -> Markup:
     """Before and after of one channel in large figures, then one bar for each model."""
     mask, rows = scored(outcome)
     mask = mask & outcome.measurements.measures[:, k]
@@ -199,7 +200,7 @@ def _other_day(outcome: Outcome) -> Content:
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
-def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
+def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
     """One bar for each model; of many the ones before the last are taken together."""
     bars = [(_name(step), value) for step, value in scores]
     if len(bars) > MOST_BARS:
@@ -392,7 +393,7 @@ def _clues(outcome: Outcome) -> tuple[Clue, ...]:
     return () if outcome.diagnosis is None else outcome.diagnosis.clues
 
 
-def _check(good: bool, text: str) -> Html:
+def _check(good: bool, text: str) -> Markup:
     """A line with a tick, or with a mark that it needs a look."""
     mark = tag("b", "✓" if good else "!", title="passed" if good else "check this")
     return tag("li", mark, text, class_="good" if good else "look")

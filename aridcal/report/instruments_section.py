@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from itertools import groupby
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Content, Html, codes, table, tag
+from aridcal.drawing.html import Content, codes, table, tag
 from aridcal.drawing.words import scale_in_words
 from aridcal.fit.constants import has_world
 from aridcal.instruments.catalogue import KINDS
@@ -119,7 +120,7 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         )  # fmt: skip
 
 
-def _carriers(outcome: Outcome) -> Html:
+def _carriers(outcome: Outcome) -> Markup:
     """What cameras are fixed to: in its frame their places are."""
     cameras = outcome.measurements.instruments.things["camera"]
     on_tip = cameras.start[:, ON_TIP] > 0.5

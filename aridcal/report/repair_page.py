@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.frame import Section, card, empty_page, framed_page
-from aridcal.drawing.html import Content, Html, attempt, bullets, noting, table, tag
+from aridcal.drawing.html import Content, attempt, bullets, noting, table, tag
 from aridcal.instruments.channels import Channel, norms
 from aridcal.report.identified_section import identified
 from aridcal.report.limits_section import use
@@ -65,7 +66,7 @@ def _page(
     lineage: dict[str, Any],
     lines: list[str],
     handover: Handover,
-) -> Html:
+) -> Markup:
     """The whole page; each of its sections fails alone."""
     chapters = [
         ("moved", "1. What moved?", _moved(mended, lines)),
@@ -104,7 +105,7 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     )
 
 
-def _card(made: RepairOutcomes, k: int) -> Html:
+def _card(made: RepairOutcomes, k: int) -> Markup:
     """Before, after and left out of one channel in large figures."""
     m = made.rows.measurements
     channel, noise = m.channels[k], float(made.rows.noise[k])
