@@ -14,7 +14,7 @@ from aridcal.ageing.trend import FEWEST
 from aridcal.ageing.wear import DAY_ZERO, History, RobotHistory, Watched
 from aridcal.drawing.frame import framed_page, sections
 from aridcal.drawing.html import Content, bullets, figures, table, tag
-from aridcal.drawing.timelines import Band, sparkline, timeline
+from aridcal.drawing.timelines import Stretch, sparkline, timeline
 from aridcal.report.page import drawn
 from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.wording import counted, enumerated, number, plus_minus, shown_in
@@ -240,10 +240,11 @@ def _caption(w: Watched) -> Content:
 
 def _picture(w: Watched) -> Markup:
     unit, scale = shown_in(w.unit)
-    bands = [] if w.change is None else [Band(w.change.low, w.change.high, "when it began")]
+    stretches = [] if w.change is None else [Stretch(w.change.low, w.change.high, "when it began")]
     series = w.series
     alt = f"{w.name} of {w.robot} over time, with bars of two sigma"
-    return timeline(series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", alt, bands)
+    key = f"{w.robot}-{w.name}"
+    return timeline(key, alt, series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", stretches)
 
 
 def _robots(found: History) -> Iterator[Content]:

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal import __version__
-from aridcal.drawing.banded import COLOURS, banded
+from aridcal.drawing.figures import COLOURS, banded
 from aridcal.drawing.frame import framed_page, sections
 from aridcal.drawing.html import Content, figures, table, tag
 from aridcal.errors import shortened
@@ -152,11 +152,11 @@ def _by_rows_or_sizes(
             "runs" if size is None else f"size {size:g}": np.array([at.get((n, size), nothing) for n in rows])
             for size in chosen
         }
-        picture = banded(f"{label} against rows", np.array(rows), curves, ("rows", label), top)
+        picture = banded(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
         pictures.append((f"Against the number of rows; bands are {INTERVAL}s", picture))
     if len(sizes) > 1:
         curves = {f"{n:,} rows": np.array([at.get((n, size), nothing) for size in sizes]) for n in _spread(rows)}
-        picture = banded(f"{label} against the size", np.array(sizes), curves, ("size", label), top)
+        picture = banded(f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top)
         pictures.append(("Against the size of the effect, in what the scenario states", picture))
     return pictures
 
