@@ -24,7 +24,6 @@ from typing import get_args
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from aridcal.calibration import Calibration
 from aridcal.errors import AridcalError, shortened
@@ -49,7 +48,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
-from aridcal.showing import Progress, one_thread, working
+from aridcal.showing import Progress, Screen, one_thread, working
 
 __all__ = [
     "AridcalError",
@@ -98,7 +97,7 @@ def propose(
     places = {name: Path(place) for name, place in (packages or {}).items()}
     proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, answers, places, arguments)
     title = ", ".join(file.name for file in proposed.rows.origin.files)
-    tell(proposed, title, Console(force_jupyter=False))
+    tell(proposed, title, Screen(force_jupyter=False))
     return proposed.campaign
 
 

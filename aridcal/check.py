@@ -23,7 +23,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,10 +31,10 @@ from aridcal.command_line import (
     DONE,
     NOT_GOOD,
     CommandParser,
+    command,
     command_parser,
     for_scripts,
     print_headline,
-    run,
     screens,
 )
 from aridcal.errors import OutputError
@@ -77,12 +76,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.poses is None:
         return _check(arguments)
@@ -101,12 +94,10 @@ def _check(arguments: argparse.Namespace) -> int:
     console, _ = screens(arguments)
     moved = changes(checked)
     lines = check_lines(checked, moved, saved.measurements)
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*lines)
     if arguments.poses is not None:
-        console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)
-    for remark in (*new.rows.origin.refused, *new.rows.origin.notices):
-        console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
+        console.say(_poses(arguments.poses, saved, checked))
+    console.say(*(f"note: {remark}" for remark in (*new.rows.origin.refused, *new.rows.origin.notices)))
     found = {
         "good": checked.good,
         "p_value": checked.first.p_value,
@@ -131,6 +122,8 @@ def _poses(out: Path, saved: SavedModel, checked: Checked) -> str:
         f"{out}: {len(readings)} {'configuration' if len(readings) == 1 else 'configurations'} that would tell of {of}"
     )
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
-from rich.console import Console
 from rich.text import Text
 
 from aridcal.errors import AridcalError, printable_lines, shortened
@@ -99,6 +98,24 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
     )
 
 
+def command(
+    parser: Callable[[], CommandParser], work: Callable[[argparse.Namespace], int | None]
+) -> Callable[..., int]:
+    """The ``main`` of a command: its arguments are read, its work is done, what goes wrong is said; see :func:`run`.
+
+    Args:
+        parser: Makes its arguments.
+        work: What it does with them; what it returns is its exit status.
+    """
+
+    def main(argv: Sequence[str] | None = None) -> int:
+        """Run the command; returns its exit status."""
+        arguments = parser().parse_args(argv)
+        return run(lambda: work(arguments))
+
+    return main
+
+
 def for_scripts(command: CommandParser, headline: bool = False) -> None:
     """Give a command the options of those who read its exit status, or its JSON, and not its words.
 
@@ -142,7 +159,7 @@ def answer(text: str) -> tuple[str, int]:
     return key, int(number)
 
 
-def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
+def screens(arguments: argparse.Namespace) -> tuple[Screen, Screen]:
     """Where a command with these options prints its result, and where its progress and its remarks.
 
     In a pipe lines are whole, however long they are: what reads them there breaks them as it likes.

@@ -19,16 +19,14 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
-
-from rich.console import Console
 
 from aridcal.ageing.compare_page import compare_page
 from aridcal.ageing.comparison import Comparison, compare, document, lines
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
 from aridcal.reading.names import path_argument
 from aridcal.result.folder import finite
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 
@@ -48,12 +46,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         return _said(
@@ -70,11 +62,12 @@ def _main(arguments: argparse.Namespace) -> int:
         return _said(found, screens(arguments)[0])
 
 
-def _said(found: Comparison, console: Console) -> int:
-    for line in [*lines(found), *(f"note: {notice}" for notice in found.notices)]:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+def _said(found: Comparison, console: Screen) -> int:
+    console.say(*lines(found), *(f"note: {notice}" for notice in found.notices))
     return NOT_GOOD if found.changed else DONE
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -38,11 +38,10 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import get_args
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import OutputError
 from aridcal.inputs.campaign import load_campaign, nominal_robot
 from aridcal.jobs.plan_files import MOST_PLANNED, WRITTEN, check_endings, check_outputs, write_plan
@@ -51,7 +50,7 @@ from aridcal.planning.design import Asked, Plan, design
 from aridcal.planning.exchange import Criterion
 from aridcal.planning.rivals import duel_lines
 from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
+from aridcal.showing import Screen, told_on
 from aridcal.writing.files import claimed
 
 LONGEST_WAIT = 3600.0
@@ -84,12 +83,6 @@ def parser() -> CommandParser:
     )
     for_scripts(arguments)
     return arguments
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
 
 
 def _count(text: str) -> int:
@@ -143,7 +136,7 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     _report(plan, arguments.apart, out, console)
 
 
-def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Console) -> None:
+def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Screen) -> None:
     """Print what the plan will tell."""
     console.print(_sigma_table(plan, apart))
     lines = [
@@ -156,8 +149,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Cons
         *_of_sides(plan),
         f"{', '.join(str(path) for path in out)}: {len(plan.readings)} configurations",
     ]
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*lines)
 
 
 def _of_sides(plan: Plan) -> list[str]:
@@ -185,6 +177,8 @@ def _sigma_table(plan: Plan, apart: Sequence[str]) -> Table:
 def _mm(metres: float) -> str:
     return "not known" if metres != metres else f"{1e3 * metres:.4f}"
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,12 +17,12 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal import __version__
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import AridcalError
 from aridcal.writing.files import check_writable
 
@@ -192,16 +192,10 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     console, _ = screens(arguments)
     bad = []
-    console.print(f"aridcal {__version__}, {Path(__file__).parent}", highlight=False, markup=False, soft_wrap=True)
+    console.say(f"aridcal {__version__}, {Path(__file__).parent}")
     for check in checks(Path.cwd()):
         failed = bool(check.remedy) and not check.optional
         bad += [check.what] if failed else []
@@ -214,11 +208,13 @@ def _main(arguments: argparse.Namespace) -> None:
         )
         console.print(mark, end="  ")
         said = f"{check.what}: {check.found}" + (f". Remedy: {check.remedy}" if check.remedy else "")
-        console.print(said, highlight=False, markup=False, soft_wrap=True)
+        console.say(said)
     if bad:
         raise AridcalError(f"{len(bad)} of these checks failed: {', '.join(bad)}")
     console.print("all checks passed. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

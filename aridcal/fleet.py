@@ -18,11 +18,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_clusters, for_scripts, run, screens
+from aridcal.command_line import (
+    DONE,
+    NOT_GOOD,
+    CommandParser,
+    command,
+    command_parser,
+    for_clusters,
+    for_scripts,
+    screens,
+)
 from aridcal.jobs.fleet_run import PAGE, calibrated_fleet, summary
 from aridcal.plant.members import TAKEN, members
 from aridcal.plant.table import NAME
@@ -51,12 +59,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     fleet = members(arguments.campaigns, out)
@@ -64,11 +66,11 @@ def _main(arguments: argparse.Namespace) -> int:
     console, aside = screens(arguments)
     with told_on(aside) as progress:
         ran = calibrated_fleet(fleet, out, arguments.scheduler, progress)
-    for line in summary(ran):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)
+    console.say(*summary(ran), f"table: {out / NAME}", f"page: {out / PAGE}")
     return NOT_GOOD if ran.failed or ran.remaining else DONE
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,9 +21,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -35,8 +33,9 @@ from aridcal.ageing.history_page import (
 )
 from aridcal.ageing.store import read_runs, tables_below
 from aridcal.ageing.wear import History, history
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
 from aridcal.reading.names import path_argument
+from aridcal.showing import Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 from aridcal.writing.tables import write_table
@@ -60,12 +59,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
         return _said(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
@@ -79,12 +72,11 @@ def _main(arguments: argparse.Namespace) -> int:
         return _said(found, screens(arguments)[0])
 
 
-def _said(found: History, console: Console) -> int:
+def _said(found: History, console: Screen) -> int:
     console.print(_table(found))
     said = remarks(found)
     more = [f"and {len(said) - SHOWN} more remarks"] if len(said) > SHOWN else []
-    for line in [*said[:SHOWN], *more, *about(found)]:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said[:SHOWN], *more, *about(found))
     return NOT_GOOD if any(robot.alarms for robot in found.robots) else DONE
 
 
@@ -100,6 +92,8 @@ def _table(found: History) -> Table:
         table.add_row(Text(robot.name), str(len(robot.runs)), robot.last_day, *errors, str(len(robot.alarms)))
     return table
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +32,10 @@ from aridcal.command_line import (
     DONE,
     NOT_GOOD,
     CommandParser,
+    command,
     command_parser,
     for_scripts,
     print_headline,
-    run,
     screens,
 )
 from aridcal.errors import OutputError, shortened
@@ -201,12 +200,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     out = arguments.out or arguments.campaign.parent / "results"
     with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
@@ -240,11 +233,10 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         console.print(f"note: {notice}", markup=False, soft_wrap=True)
     if len(written.notices) > MOST_NOTICES:
         console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves", markup=False)
-    console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    console.say(f"report: {out / 'report.html'}")
     if (out / "certificate.pdf").is_file():
-        console.print(f"certificate: {out / 'certificate.pdf'}", soft_wrap=True, markup=False, highlight=False)
-    for line in _next(out, outcome, handover):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        console.say(f"certificate: {out / 'certificate.pdf'}")
+    console.say(*_next(out, outcome, handover))
     print_headline(arguments, _headline(out, outcome))
     return DONE if _good(outcome) else NOT_GOOD
 
@@ -285,6 +277,8 @@ def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
         **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
     }
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -13,10 +13,9 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from aridcal.command_line import CommandParser, answer, ask, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
 from aridcal.errors import OutputError, printable, shortened
 from aridcal.jobs.proposal import tell
 from aridcal.prepare.campaign_text import draft
@@ -53,7 +52,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--package",
-        type=pair,
+        type=_package,
         action="append",
         default=[],
         metavar="NAME=FOLDER",
@@ -78,13 +77,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    packages = {name: path_argument(place) for name, place in arguments.package}
-    return run(lambda: _main(arguments, packages))
-
-
 def pair(text: str) -> tuple[str, str]:
     """The ``type`` of an argument of argparse that gives something a name."""
     name, equals, value = text.partition("=")
@@ -94,7 +86,12 @@ def pair(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
+def _package(text: str) -> tuple[str, Path]:
+    name, place = pair(text)
+    return name, path_argument(place)
+
+
+def _main(arguments: argparse.Namespace) -> None:
     out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else nobody
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
@@ -103,13 +100,15 @@ def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
     )  # a link that leads to what is not there, for instance
     with claimed(out, "file"):
         settled, xacro = dict(arguments.set), dict(arguments.argument)
-        proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, packages, xacro)
+        proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, dict(arguments.package), xacro)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console, _ = screens(arguments)
     tell(proposed, str(out), console)
-    console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False, markup=False)
+    console.say(f"next: aridcal identify {out}")
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

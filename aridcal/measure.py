@@ -15,11 +15,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from markupsafe import Markup
-from rich.console import Console
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.drawing.html import tag
 from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
@@ -28,7 +27,7 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
-from aridcal.showing import SHOWN_REMARKS
+from aridcal.showing import SHOWN_REMARKS, Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 from aridcal.writing.tables import in_plain_words
@@ -128,12 +127,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_apart(_written(out), [arguments.head])
@@ -145,7 +138,7 @@ def _written(out: Path) -> list[Path]:
     return [out, *(out.with_name(name) for name in BESIDE)]
 
 
-def _measure(settings: Path, out: Path, console: Console) -> None:
+def _measure(settings: Path, out: Path, console: Screen) -> None:
     head, squares, table, shots = load(settings)
     check_apart(_written(out), [head.squares, head.shots, *(head.shots.parent / shot.image for shot in shots)])
     work = measure_shots(shots, head, squares)
@@ -166,9 +159,10 @@ def _measure(settings: Path, out: Path, console: Console) -> None:
     if head.sonars:
         said += sonar_remarks(results, head.sonars.std)
     said.append(f"{out}: {rows - len(refused)} shots measured, {len(refused)} refused")
-    for line in said:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

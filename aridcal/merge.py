@@ -22,14 +22,13 @@ from __future__ import annotations
 import argparse
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from aridcal.boards.camera_file import CAMERA_FILE
 from aridcal.boards.frames import png_file
-from aridcal.command_line import CommandParser, answer, ask, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
 from aridcal.head.matching import NotMeasured
 from aridcal.jobs.log_merge import Logs, read_logs, tell
 from aridcal.logs.bag_camera import BagCamera, camera_file, intrinsics
@@ -76,12 +75,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     out, page = arguments.out, arguments.out.with_suffix(".html").name
     check_apart([out, out.with_name(page)], [arguments.joints, arguments.tracker, arguments.urdf])
@@ -101,10 +94,10 @@ def _main(arguments: argparse.Namespace) -> None:
             (stage / page).write_text(merge_page(found, names, out), encoding="utf-8", errors="replace")
     console, _ = screens(arguments)
     tell(found, console)
-    said = f"{out}: {len(found.table)} rows; {out.with_suffix('.html')} shows what was paired"
-    console.print(said, markup=False, highlight=False, soft_wrap=True)
-    said = f"next: aridcal init --urdf {arguments.urdf} --measurements {out}"
-    console.print(said, markup=False, highlight=False, soft_wrap=True)
+    console.say(
+        f"{out}: {len(found.table)} rows; {out.with_suffix('.html')} shows what was paired",
+        f"next: aridcal init --urdf {arguments.urdf} --measurements {out}",
+    )
 
 
 def _write_images(logs: Logs, camera: BagCamera, arguments: argparse.Namespace) -> None:
@@ -138,9 +131,10 @@ def _write_images(logs: Logs, camera: BagCamera, arguments: argparse.Namespace) 
     said.append(f"{out}: {len(table)} rows, each with its image in {folder}")
     lens = f" --intrinsics {folder / CAMERA_FILE}" if numbers is not None else ""
     said.append(f"next: aridcal detect {folder} --joints {out}{lens} -o {out.with_name('corners.csv')}")
-    for line in said:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

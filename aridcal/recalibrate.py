@@ -17,9 +17,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.jobs.repair_folder import recalibrate
 from aridcal.reading.names import path_argument
 from aridcal.showing import told_on
@@ -37,20 +36,15 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     console, aside = screens(arguments)
     with told_on(aside) as progress:
         said = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
-    for line in said:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"repaired: {arguments.out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    console.say(*said)
+    console.say(f"repaired: {arguments.out / 'report.html'}")
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

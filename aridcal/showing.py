@@ -61,6 +61,11 @@ class Screen(Console):
         """Text as Rich prints it, in lines and in cells of tables."""
         return super().render_str(printable_lines(text), **how)
 
+    def say(self, *lines: str) -> None:
+        """Print lines as they are: nothing in them is markup, and none is broken."""
+        for line in lines:
+            self.print(line, markup=False, highlight=False, soft_wrap=True)
+
     def on_broken_pipe(self) -> None:
         """Rich would end the program with status 1."""
         unheard(self.file)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from rich.console import Console
 
 from aridcal.errors import AridcalError, RobotError
 from aridcal.inputs.tables import AnyTable
@@ -20,7 +19,7 @@ from aridcal.prepare.guesses import Asker, Choose, nobody
 from aridcal.robot.chain import Robot, load_robot
 from aridcal.robot.named import described
 from aridcal.robot.tree import read_tree
-from aridcal.showing import SHOWN_REMARKS
+from aridcal.showing import SHOWN_REMARKS, Screen
 
 QUESTIONS = (
     "joints.time", "tracker.time", "joints.decimal", "tracker.decimal", "target",
@@ -135,14 +134,13 @@ def merge(
         AridcalError: the logs cannot be read or joined; saying why.
     """
     found = joined(joints, tracker, Path(urdf), tip, nobody, answers or {})
-    tell(found, Console(force_jupyter=False))
+    tell(found, Screen(force_jupyter=False))
     return found.table
 
 
-def tell(found: Merged, console: Console) -> None:
+def tell(found: Merged, console: Screen) -> None:
     """Print what was found, and which standstills make no row."""
     said = [*lines(found), *(f"no row: {one}" for one in found.unpaired[:SHOWN_REMARKS])]
     if len(found.unpaired) > SHOWN_REMARKS:
         said.append(f"no row: {len(found.unpaired) - SHOWN_REMARKS} more standstills")
-    for each in said:
-        console.print(each, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said)
