@@ -43,6 +43,7 @@ KEPT_TO = {
     "meshcat": ("aridcal.view", "aridcal.drawing.scene"),
     "scipy.optimize": ("aridcal.fit.",),
     "tornado": ("aridcal.view",),
+    "yourdfpy": ("aridcal.robot.read_back",),
     "trimesh": ("aridcal.boards.bodies", "aridcal.robot.meshes"),
 }
 """Libraries that only some modules may import."""

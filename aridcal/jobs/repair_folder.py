@@ -9,13 +9,13 @@ from typing import Any
 
 from aridcal.drawing.scene import write_scene
 from aridcal.errors import CampaignError, OutputError
-from aridcal.fit.constants import urdf_of
 from aridcal.inputs.tables import AnyTable
 from aridcal.jobs.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.reading.files import CALIBRATION, read_file
 from aridcal.report.repair_page import write_repair_report
 from aridcal.result.controllers import hand_over, write_controllers
 from aridcal.result.saved_model import SavedModel
+from aridcal.result.urdf_files import write_urdf
 from aridcal.showing import SILENT, Progress
 from aridcal.upkeep.answers import check_lines, left_out_line
 from aridcal.upkeep.checking import Checked, check
@@ -78,9 +78,9 @@ def _write(
     saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
     with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
-        (stage / "calibrated.urdf").write_bytes(urdf_of(saved.geometric.model, saved.geometric.theta))
+        read = write_urdf(stage / "calibrated.urdf", saved.geometric.model, saved.geometric.theta)
         if any(not c.basis.always for c in saved.final.model.coefficients):
-            (stage / "model.urdf").write_bytes(urdf_of(saved.final.model, saved.final.theta))
+            write_urdf(stage / "model.urdf", saved.final.model, saved.final.theta)
         found = document(made, checked, mended, parents, figures)
         (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
         residuals(made).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
@@ -89,4 +89,4 @@ def _write(
         write_controllers(made.model, handover, stage)
         progress("drawing the report and the scene")
         notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")
-        return (*notices, *write_scene(made.rows, stage / "scene.html"))
+        return (*read, *notices, *write_scene(made.rows, stage / "scene.html"))

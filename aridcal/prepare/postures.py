@@ -233,7 +233,7 @@ def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng:
 
 
 def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
-    """The setup with what a camera lacks, where it sees most: the board of one on the tip, its own place of one beside the arm."""
+    """The setup with what a camera lacks, where it sees most: its board, of one on the tip, or its own place beside the arm."""
     name, camera = list(setup.cameras.items())[number]
     looked_at = setup.looked_at[number]
     b = next((k for k in looked_at if setup.boards[k].place is None), looked_at[0])
