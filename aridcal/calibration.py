@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
 import warnings
@@ -9,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -45,6 +46,9 @@ from aridcal.result.saved_model import SavedModel
 from aridcal.result.verdict import NOISE_UNKNOWN, VERDICTS
 from aridcal.showing import SHOWN_REMARKS, Page, working
 from aridcal.writing.files import atomic_file
+
+if TYPE_CHECKING:
+    from aridcal.drawing.plots import Plots
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -126,6 +130,24 @@ class Calibration:
             return region_table(index)
         except (KeyError, TypeError, AttributeError) as error:
             raise AridcalError(f"{path}: is damaged ({shortened(repr(error))}). Run identify again") from None
+
+    @cached_property
+    def plot(self) -> Plots:
+        """Figures of matplotlib: ``plot.errors()``, ``.joints()``, ``.residuals()`` and ``.workspace()``, before and after.
+
+        Raises:
+            AridcalError: of a loaded calibration without its ``residuals.csv``, or with a damaged one.
+        """
+        from aridcal.drawing.plots import plots_of, plots_of_table  # matplotlib is slow to load, and few draw
+
+        if self.outcome is not None:
+            return plots_of(self.outcome)
+        path = self._beside("residuals.csv", "the residuals are")
+        try:
+            return plots_of_table(pd.read_csv(io.StringIO(_text(path))))
+        except (KeyError, ValueError) as error:
+            said = shortened(f"{type(error).__name__}: {error}")
+            raise AridcalError(f"{path}: is damaged ({said}). Run identify again") from None
 
     def predict(self, queries: AnyTable, of: str | None = None, within: str | None = None) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings, or a link of the robot.
