@@ -7,6 +7,7 @@ Example:
     campaign = aridcal.propose("ur5.urdf", table)  # a path or a DataFrame; prints what was guessed
     cal = aridcal.calibrate(campaign)  # or the path of a campaign.yaml
     cal.errors, cal.effects, cal.parameters  # DataFrames
+    cal.plot.errors()  # a figure of matplotlib; also joints(), residuals(), workspace()
     poses = cal.predict(queries)
     joints = cal.compensate(poses, seed=queries)
     cal.save("results")

@@ -24,18 +24,18 @@ from typing import get_args
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from aridcal.calibration import Calibration
-from aridcal.compare import Changes, changes
-from aridcal.design import MOST, check_endings, check_outputs, write_plan
 from aridcal.errors import AridcalError, shortened
-from aridcal.fleet import FleetRun, calibrated_fleet, fleet_run
-from aridcal.history import FleetHistory, over_time
-from aridcal.init import tell
 from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
 from aridcal.inputs.tables import AnyTable
-from aridcal.merge import merge
+from aridcal.jobs.calibration_changes import Changes, changes
+from aridcal.jobs.fleet_history import FleetHistory, over_time
+from aridcal.jobs.fleet_run import FleetRun, calibrated_fleet, fleet_run
+from aridcal.jobs.log_merge import merge
+from aridcal.jobs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
+from aridcal.jobs.proposal import tell
+from aridcal.jobs.study_run import StudyRun, repeated, study_run
 from aridcal.planning.beforehand import beforehand
 from aridcal.planning.design import Asked, Plan, as_table, design
 from aridcal.planning.exchange import Criterion
@@ -48,8 +48,7 @@ from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
 from aridcal.robot.chain import Robot
-from aridcal.showing import Progress, one_thread, working
-from aridcal.study import StudyRun, repeated, study_run
+from aridcal.showing import Progress, Screen, one_thread, working
 
 __all__ = [
     "AridcalError",
@@ -98,7 +97,7 @@ def propose(
     places = {name: Path(place) for name, place in (packages or {}).items()}
     proposed = draft(Path(urdf), tables, Path.cwd() / "campaign.yaml", nobody, answers, places, arguments)
     title = ", ".join(file.name for file in proposed.rows.origin.files)
-    tell(proposed, title, Console(force_jupyter=False))
+    tell(proposed, title, Screen(force_jupyter=False))
     return proposed.campaign
 
 
@@ -165,8 +164,8 @@ def plan(
     Raises:
         AridcalError: whatever in the input needs mending.
     """
-    if not isinstance(n, int | np.integer) or not 1 <= n <= MOST:
-        raise AridcalError(f"n: should be a whole number from 1 to {MOST}, not {shortened(repr(n))}")
+    if not isinstance(n, int | np.integer) or not 1 <= n <= MOST_PLANNED:
+        raise AridcalError(f"n: should be a whole number from 1 to {MOST_PLANNED}, not {shortened(repr(n))}")
     if optimal not in get_args(Criterion):
         raise AridcalError(
             f"optimal: should be one of {', '.join(get_args(Criterion))}, not {shortened(repr(optimal))}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tempfile
 import warnings
@@ -9,11 +10,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from aridcal.check import Check, answer
 from aridcal.drawing.as_tables import (
     combination_table,
     effect_table,
@@ -28,12 +28,13 @@ from aridcal.drawing.html import tag
 from aridcal.drawing.scene import write_scene
 from aridcal.drawing.shown import DECIMALS, Verified, headline
 from aridcal.errors import AridcalError, CampaignError, shortened
-from aridcal.identify import VERDICTS
 from aridcal.inputs.query import Query, seeded
 from aridcal.inputs.tables import AnyTable
 from aridcal.inputs.yaml_file import decode, parse_yaml
+from aridcal.jobs.repair_folder import recalibrate
+from aridcal.jobs.result_folder import write_folder
+from aridcal.jobs.rows_check import Check, check_rows
 from aridcal.reading.files import RESULT, read_file
-from aridcal.recalibrate import recalibrate
 from aridcal.report.page import write_report
 from aridcal.result.compensate import compensate
 from aridcal.result.controllers import INDEX, by_region, hand_over, index_document
@@ -42,13 +43,12 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import score
 from aridcal.result.predict import evenly, predict, read_query, uncertainty
 from aridcal.result.saved_model import SavedModel
-from aridcal.result.verdict import NOISE_UNKNOWN
-from aridcal.result_folder import write_folder
-from aridcal.showing import Page, working
+from aridcal.result.verdict import NOISE_UNKNOWN, VERDICTS
+from aridcal.showing import SHOWN_REMARKS, Page, working
 from aridcal.writing.files import atomic_file
 
-SHOWN_REMARKS = 5
-"""Remarks that are shown: notices of a calibration, rows that a warning names."""
+if TYPE_CHECKING:
+    from aridcal.drawing.plots import Plots
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -130,6 +130,24 @@ class Calibration:
             return region_table(index)
         except (KeyError, TypeError, AttributeError) as error:
             raise AridcalError(f"{path}: is damaged ({shortened(repr(error))}). Run identify again") from None
+
+    @cached_property
+    def plot(self) -> Plots:
+        """Figures of matplotlib: ``plot.errors()``, ``.joints()``, ``.residuals()`` and ``.workspace()``, before and after.
+
+        Raises:
+            AridcalError: of a loaded calibration without its ``residuals.csv``, or with a damaged one.
+        """
+        from aridcal.drawing.plots import plots_of, plots_of_table  # matplotlib is slow to load, and few draw
+
+        if self.outcome is not None:
+            return plots_of(self.outcome)
+        path = self._beside("residuals.csv", "the residuals are")
+        try:
+            return plots_of_table(pd.read_csv(io.StringIO(_text(path))))
+        except (KeyError, ValueError) as error:
+            said = shortened(f"{type(error).__name__}: {error}")
+            raise AridcalError(f"{path}: is damaged ({said}). Run identify again") from None
 
     def predict(self, queries: AnyTable, of: str | None = None, within: str | None = None) -> pd.DataFrame:
         """Tell where the real target is for each row of joint readings, or a link of the robot.
@@ -234,7 +252,7 @@ class Calibration:
         """
         with working() as progress:
             progress("asking what moved")
-            return answer(self.model, measurements, tolerance)
+            return check_rows(self.model, measurements, tolerance)
 
     def recalibrate(self, measurements: AnyTable, folder: str | Path) -> Calibration:
         """Mend the calibration with 5 to 20 new rows: what moved is fitted, all else kept.
@@ -365,7 +383,7 @@ def _remarks(result: dict[str, Any]) -> list[str]:
     effects = ", ".join(f"{effect['kind']} at {effect['where']}" for effect in result["effects"])
     notices = [f"note: {notice}" for notice in result["notices"][:SHOWN_REMARKS]]
     unknown = NOISE_UNKNOWN in result.get("reasons", [])
-    words = "the rest may be noise; nobody has said how large that is" if unknown else VERDICTS[verdict]
+    words = "the rest may be noise; nobody has said how large that is" if unknown else VERDICTS[verdict].line
     return [f"effects: {effects or 'none'}", f"verdict: {verdict}: {words}", *notices]
 
 

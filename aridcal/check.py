@@ -23,86 +23,34 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from aridcal.command_line import (
     DONE,
     NOT_GOOD,
     CommandParser,
+    command,
     command_parser,
     for_scripts,
     print_headline,
-    run,
     screens,
 )
-from aridcal.drawing.html import tag
 from aridcal.errors import OutputError
 from aridcal.inputs.measurement_settings import length_argument
-from aridcal.inputs.tables import AnyTable
 from aridcal.planning.design import joint_table
 from aridcal.planning.travel import short_order
 from aridcal.reading.names import path_argument
-from aridcal.result.outcome import enumerated
 from aridcal.result.saved_model import SavedModel
 from aridcal.upkeep.answers import check_lines
 from aridcal.upkeep.checking import Checked, check
 from aridcal.upkeep.new_rows import read_new_rows
 from aridcal.upkeep.repair import changes
+from aridcal.wording import enumerated
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, write_table
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class Check:
-    """What new rows say of a calibration.
-
-    Attributes:
-        good: True as long as nothing moved; with a tolerance as long as the error may be within it.
-        p_value: Probability of rows as odd as these from a calibration that is still right.
-        moved: What moved, by how much, [m] and [rad]; no rows where nothing did.
-        lines: The whole answer in words.
-    """
-
-    good: bool
-    p_value: float
-    moved: pd.DataFrame
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def answer(saved: SavedModel, table: AnyTable, tolerance: float | None = None) -> Check:
-    """What new rows say of a calibration, for Python.
-
-    Args:
-        saved: The calibration.
-        table: See :func:`aridcal.upkeep.new_rows.read_new_rows`.
-        tolerance: Largest RMS position error that is still good, [m].
-
-    Raises:
-        AridcalError: the rows need mending, or nothing can be said of a tolerance.
-    """
-    new = read_new_rows(saved, table)
-    found = check(saved, new.rows, tolerance, new.frames)
-    moved = changes(found)
-    columns = ["moved", "name", "unit", "value", "std", "probability"]
-    rows = [
-        (c.cause.where, name, unit, value, std, c.cause.probability)
-        for c in moved
-        for name, unit, value, std in zip(c.names, c.units, c.value.tolist(), c.std.tolist(), strict=True)
-    ]
-    lines = tuple(check_lines(found, moved, saved.measurements))
-    return Check(found.good, found.first.p_value, pd.DataFrame(rows, columns=columns), lines)
 
 
 def parser() -> CommandParser:
@@ -128,12 +76,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.poses is None:
         return _check(arguments)
@@ -152,12 +94,10 @@ def _check(arguments: argparse.Namespace) -> int:
     console, _ = screens(arguments)
     moved = changes(checked)
     lines = check_lines(checked, moved, saved.measurements)
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*lines)
     if arguments.poses is not None:
-        console.print(_poses(arguments.poses, saved, checked), markup=False, highlight=False, soft_wrap=True)
-    for remark in (*new.rows.origin.refused, *new.rows.origin.notices):
-        console.print(f"note: {remark}", markup=False, highlight=False, soft_wrap=True)
+        console.say(_poses(arguments.poses, saved, checked))
+    console.say(*(f"note: {remark}" for remark in (*new.rows.origin.refused, *new.rows.origin.notices)))
     found = {
         "good": checked.good,
         "p_value": checked.first.p_value,
@@ -182,6 +122,8 @@ def _poses(out: Path, saved: SavedModel, checked: Checked) -> str:
         f"{out}: {len(readings)} {'configuration' if len(readings) == 1 else 'configurations'} that would tell of {of}"
     )
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -7,14 +7,13 @@ import errno
 import json
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn
 
-from rich.console import Console
 from rich.text import Text
 
-from aridcal.errors import AridcalError, printable_lines
+from aridcal.errors import AridcalError, printable_lines, shortened
 from aridcal.interrupt import MESSAGE, SIGNALLED, leave
 from aridcal.showing import Screen, one_thread, unheard
 from aridcal.writing.signals import Handler, Terminated, handling, terminate
@@ -99,6 +98,24 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
     )
 
 
+def command(
+    parser: Callable[[], CommandParser], work: Callable[[argparse.Namespace], int | None]
+) -> Callable[..., int]:
+    """The ``main`` of a command: its arguments are read, its work is done, what goes wrong is said; see :func:`run`.
+
+    Args:
+        parser: Makes its arguments.
+        work: What it does with them; what it returns is its exit status.
+    """
+
+    def main(argv: Sequence[str] | None = None) -> int:
+        """Run the command; returns its exit status."""
+        arguments = parser().parse_args(argv)
+        return run(lambda: work(arguments))
+
+    return main
+
+
 def for_scripts(command: CommandParser, headline: bool = False) -> None:
     """Give a command the options of those who read its exit status, or its JSON, and not its words.
 
@@ -122,7 +139,27 @@ def for_clusters(command: CommandParser) -> None:
     )
 
 
-def screens(arguments: argparse.Namespace) -> tuple[Console, Console]:
+def ask(question: str, answers: Sequence[str], why: str) -> int:
+    """Ask on the terminal; the first answer is proposed."""
+    from rich.prompt import IntPrompt  # two commands ask, and seldom
+
+    console = Screen(stderr=True)
+    console.print(f"{question}? ({why})", markup=False)
+    for number, answer in enumerate(answers, start=1):
+        console.print(f"  {number}  {answer}", markup=False, highlight=False)
+    picks = [str(k + 1) for k in range(len(answers))]
+    return IntPrompt.ask("your choice", choices=picks, default=1, console=console) - 1
+
+
+def answer(text: str) -> tuple[str, int]:
+    """A key and the number of an answer: the ``type`` of an argument of argparse."""
+    key, _, number = text.partition("=")
+    if not key or not number.isdecimal() or len(number) > 3:
+        raise argparse.ArgumentTypeError(f"should be KEY=NUMBER, units=2 for instance, not {shortened(text)!r}")
+    return key, int(number)
+
+
+def screens(arguments: argparse.Namespace) -> tuple[Screen, Screen]:
     """Where a command with these options prints its result, and where its progress and its remarks.
 
     In a pipe lines are whole, however long they are: what reads them there breaks them as it likes.

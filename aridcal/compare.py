@@ -19,78 +19,19 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
-
-import pandas as pd
-from rich.console import Console
 
 from aridcal.ageing.compare_page import compare_page
-from aridcal.ageing.comparison import Comparison, compare, constants, document, lines
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
-from aridcal.drawing.html import tag
+from aridcal.ageing.comparison import Comparison, compare, document, lines
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
 from aridcal.reading.names import path_argument
 from aridcal.result.folder import finite
 from aridcal.result.saved_model import SavedModel
+from aridcal.showing import Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 
 FILES = frozenset({"compare.html", "compare.json"})
 """All that is written."""
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class Changes:
-    """What changed between two calibrations, for Python.
-
-    Attributes:
-        changed: Whether more differs than the uncertainty explains.
-        p_value: Chance that two calibrations of a robot that did not change differ as much.
-        causes: What changed, a row for each coefficient, [m] and [rad].
-        constants: Every coefficient that both have, by itself, [m] and [rad].
-        lines: The whole answer in words.
-    """
-
-    changed: bool
-    p_value: float
-    causes: pd.DataFrame
-    constants: pd.DataFrame
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def changes(a: str | Path | SavedModel, b: str | Path | SavedModel) -> Changes:
-    """What changed between two calibrations, for Python.
-
-    Args:
-        a: The first: a result folder, its ``calibration.yaml``, or what was read of it.
-        b: The second.
-
-    Raises:
-        AridcalError: one is not there, or they are not of one arm.
-    """
-    first, second = (saved if isinstance(saved, SavedModel) else SavedModel.load(saved) for saved in (a, b))
-    found = compare(first, second)
-    columns = ["what", "name", "unit", "before", "change", "std", "p_value"]
-    rows = [
-        (c.words, name, unit, before, float(value), float(std), c.p_value)
-        for c in found.causes.found
-        for name, unit, before, value, std in zip(c.names, c.units, c.before, c.value, c.std, strict=True)
-    ]
-    each = pd.DataFrame(constants(found), columns=["name", "unit", "before", "after", "change", "std", "p_value"])
-    return Changes(
-        found.changed,
-        found.difference.p_value,
-        pd.DataFrame(rows, columns=columns),
-        each,
-        tuple([*lines(found), *(f"note: {notice}" for notice in found.notices)]),
-    )
 
 
 def parser() -> CommandParser:
@@ -103,12 +44,6 @@ def parser() -> CommandParser:
     )
     for_scripts(arguments)
     return arguments
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -127,11 +62,12 @@ def _main(arguments: argparse.Namespace) -> int:
         return _said(found, screens(arguments)[0])
 
 
-def _said(found: Comparison, console: Console) -> int:
-    for line in [*lines(found), *(f"note: {notice}" for notice in found.notices)]:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+def _said(found: Comparison, console: Screen) -> int:
+    console.say(*lines(found), *(f"note: {notice}" for notice in found.notices))
     return NOT_GOOD if found.changed else DONE
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -47,7 +47,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.console import Console
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
 from aridcal.errors import CampaignError, OutputError, printable
@@ -60,7 +59,7 @@ from aridcal.reading.names import path_argument
 from aridcal.result.compensate import Trajectory, compensate, correction_table, moved
 from aridcal.result.predict import read_queries
 from aridcal.result.saved_model import SavedModel
-from aridcal.showing import told_on
+from aridcal.showing import SHOWN_REMARKS, Screen, told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file, write_table
@@ -69,8 +68,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from aridcal.result.stretches import Stretch
-
-SHOWN_REMARKS = 5
 
 
 def parser() -> CommandParser:
@@ -169,7 +166,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
-    answered, trajectory = Answered(calibration), Trajectory(calibration)
+    answered, trajectory = CommandTotals(calibration), Trajectory(calibration)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
@@ -191,8 +188,7 @@ def _correct_programs(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     with told_on(aside) as progress:
         answer = correct_programs(request, progress)
-    for line in lines_of(answer):
-        aside.print(printable(line), markup=False, highlight=False, soft_wrap=True)
+    aside.say(*map(printable, lines_of(answer)))
 
 
 def _values(given: Sequence[str]) -> dict[str, float]:
@@ -220,7 +216,7 @@ def _joints(text: str | None) -> tuple[float, ...] | None:
 
 
 @dataclass
-class Answered:
+class CommandTotals:
     """What is said of a table once all its stretches have their commands.
 
     Attributes:
@@ -260,7 +256,7 @@ class Answered:
         self.remarks.add(query)
 
 
-def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console) -> None:
+def _tabulate(calibration: SavedModel, points: int, out: Path, console: Screen) -> None:
     import pandas as pd  # slow to load, and robot programs do without
 
     robot, settings = calibration.final.model.robot, calibration.measurements
@@ -275,14 +271,13 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Console)
     table = table.drop(columns=[*held, *(f"delta_{name}" for name in held)])
     with atomic_file(out) as path:
         write_table(table, path)
-    console.print(
+    console.say(
         f"{out}: {len(cells)} points; RMS error of the target between them {1e3 * found.after:.3f} mm, "
-        f"without the table {1e3 * found.before:.3f} mm",
-        markup=False, highlight=False, soft_wrap=True,
-    )  # fmt: skip
+        f"without the table {1e3 * found.before:.3f} mm"
+    )
 
 
-def _report(found: Answered, calibration: SavedModel, out: Path, console: Console) -> None:
+def _report(found: CommandTotals, calibration: SavedModel, out: Path, console: Screen) -> None:
     """Print remarks, poses out of reach and totals."""
     lines = [*found.remarks.lines(), *found.far]
     if calibration.measurements.joint_reading == "reported":
@@ -293,8 +288,7 @@ def _report(found: Answered, calibration: SavedModel, out: Path, console: Consol
     said = f"{out}: {found.rows} rows, {found.reached} reached"
     said += f", {found.missed} out of reach" if found.missed else ""
     said += f", {found.bare} without a command because a number is missing" if found.bare else ""
-    for line in (*lines, f"{said}; {found.unlike} of them unlike what was measured"):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*lines, f"{said}; {found.unlike} of them unlike what was measured")
 
 
 if __name__ == "__main__":

@@ -11,12 +11,11 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Sequence
 
 import shtab
 
 from aridcal.__main__ import COMMANDS
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command, command_parser
 from aridcal.reading.names import path_argument
 
 
@@ -24,12 +23,12 @@ def whole_parser() -> argparse.ArgumentParser:
     """All commands with all their arguments as one parser; where a path is meant, file names complete it."""
     whole = argparse.ArgumentParser(prog="aridcal")
     commands = whole.add_subparsers()
-    for command, job in COMMANDS.items():
-        own = importlib.import_module(f"aridcal.{command}").parser()
+    for name, job in COMMANDS.items():
+        own = importlib.import_module(f"aridcal.{name}").parser()
         for action in own._actions:
             if action.type is path_argument:
                 action.complete = shtab.FILE
-        commands.add_parser(command, parents=[own], add_help=False, help=job)
+        commands.add_parser(name, parents=[own], add_help=False, help=job)
     return whole
 
 
@@ -40,11 +39,11 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: print(shtab.complete(whole_parser(), arguments.shell)))
+def _main(arguments: argparse.Namespace) -> None:
+    print(shtab.complete(whole_parser(), arguments.shell))
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

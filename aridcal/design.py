@@ -38,45 +38,30 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import OutputError
-from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
-from aridcal.inputs.counting import counting
+from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.jobs.plan_files import MOST_PLANNED, WRITTEN, check_endings, check_outputs, write_plan
 from aridcal.planning.beforehand import beforehand
-from aridcal.planning.design import Asked, Plan, as_table, design
+from aridcal.planning.design import Asked, Plan, design
 from aridcal.planning.exchange import Criterion
-from aridcal.planning.programs import PROGRAMS, WAYPOINTS, check_program, moves, program
 from aridcal.planning.rivals import duel_lines
-from aridcal.plant.keys import files_of
 from aridcal.reading.names import path_argument
-from aridcal.report.plan_page import plan_page
-from aridcal.robot.chain import Robot
-from aridcal.showing import told_on
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, check_home, claimed
-from aridcal.writing.tables import ENDINGS, write_table
-
-PAGE = ".html"
-WRITTEN = (*ENDINGS, *PROGRAMS, PAGE)
-"""Endings of what can be written."""
+from aridcal.showing import Screen, told_on
+from aridcal.writing.files import claimed
 
 LONGEST_WAIT = 3600.0
 """[s]: a program that waits longer hangs."""
-
-MOST = 500
-"""Configurations of one plan: choosing more would take minutes, and chance does as well by then."""
 
 
 def parser() -> CommandParser:
     """The command's arguments."""
     arguments = command_parser("design", __doc__)
     arguments.add_argument("campaign", type=path_argument, help="campaign.yaml")
-    arguments.add_argument("-n", type=_count, required=True, help=f"how many configurations, 1 to {MOST}")
+    arguments.add_argument("-n", type=_count, required=True, help=f"how many configurations, 1 to {MOST_PLANNED}")
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, action="append", metavar="FILE",
         help=f"where to write them: {', '.join(WRITTEN)}; may be given more than once",
@@ -100,15 +85,9 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _count(text: str) -> int:
-    if not text.isdecimal() or len(text) > len(str(MOST)) or not 1 <= int(text) <= MOST:
-        raise argparse.ArgumentTypeError(f"should be a whole number from 1 to {MOST}")
+    if not text.isdecimal() or len(text) > len(str(MOST_PLANNED)) or not 1 <= int(text) <= MOST_PLANNED:
+        raise argparse.ArgumentTypeError(f"should be a whole number from 1 to {MOST_PLANNED}")
     return int(text)
 
 
@@ -157,76 +136,7 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     _report(plan, arguments.apart, out, console)
 
 
-def check_endings(out: Sequence[Path]) -> None:
-    """Make sure that files of these names can hold a plan, and that their folders are there.
-
-    Raises:
-        OutputError: naming the file.
-    """
-    for path in out:
-        if path.suffix.lower() not in WRITTEN:
-            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
-        check_home(path)
-
-
-def check_outputs(campaign: Campaign, robot: Robot, out: Sequence[Path]) -> None:
-    """Make sure that a plan may be written to some files, and that programs in their languages can move the robot.
-
-    Raises:
-        OutputError: naming the file.
-    """
-    check_apart(out, [campaign.path, *(file for _, file in files_of(campaign))])
-    places = [path.resolve() for path in out]
-    for number, (path, place) in enumerate(zip(out, places, strict=True)):
-        if place in places[:number]:
-            raise OutputError(f"{path}: is named twice; delete one")
-        if path.suffix.lower() in PROGRAMS:
-            if robot.others and path.suffix.lower() != WAYPOINTS:
-                limbs = ", ".join(limb.tip for limb in robot.limbs)
-                raise OutputError(
-                    f"{path}: a controller's program moves one arm, and this plan several limbs ({limbs}): write a table, or "
-                    f"waypoints for MoveIt ({WAYPOINTS})"
-                )
-            check_program(path.suffix.lower(), path.stem, robot.kinds)
-
-
-def write_plan(plan: Plan, campaign: Campaign, robot: Robot, out: Sequence[Path], settle: float) -> None:
-    """Write a plan in the forms that the names of files ask for; all of them appear, or none.
-
-    Args:
-        plan: What to write.
-        campaign: What it is for.
-        robot: The chain.
-        out: The files.
-        settle: What programs wait at each configuration, [s].
-    """
-    with ExitStack() as ends:
-        built = [(path, ends.enter_context(atomic_file(path))) for path in out]
-        for path, file in built:
-            _write(plan, campaign, robot, path, file, settle)
-
-
-def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path, settle: float) -> None:
-    """Write one file of a plan, called ``path``, to ``file``; see :func:`write_plan`."""
-    ending = path.suffix.lower()
-    if ending in ENDINGS:
-        write_table(as_table(plan, robot, campaign.measurements), file)
-    elif ending == PAGE:
-        file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
-    else:
-        # controllers go straight in joints; who knows by which way MoveIt comes
-        via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
-        readings = plan.readings
-        if ending != WAYPOINTS:  # MoveIt counts as the URDF does, a controller as its own joints in the tables
-            own = counting(campaign.measurements, robot.readings, robot.kinds)
-            readings, via = own.shown(readings), own.shown(via)
-        made = moves(
-            campaign.path.name, robot.readings, robot.kinds, readings, via, plan.titles, settle, (plan.kept_out,)
-        )
-        file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
-
-
-def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Console) -> None:
+def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Screen) -> None:
     """Print what the plan will tell."""
     console.print(_sigma_table(plan, apart))
     lines = [
@@ -239,8 +149,7 @@ def _report(plan: Plan, apart: Sequence[str], out: Sequence[Path], console: Cons
         *_of_sides(plan),
         f"{', '.join(str(path) for path in out)}: {len(plan.readings)} configurations",
     ]
-    for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*lines)
 
 
 def _of_sides(plan: Plan) -> list[str]:
@@ -268,6 +177,8 @@ def _sigma_table(plan: Plan, apart: Sequence[str]) -> Table:
 def _mm(metres: float) -> str:
     return "not known" if metres != metres else f"{1e3 * metres:.4f}"
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -15,14 +15,12 @@ import argparse
 import re
 import sys
 from collections import Counter
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 from rich.progress import track
 
 from aridcal.boards.advice import ENOUGH_IMAGES, advice
@@ -32,13 +30,14 @@ from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
 from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
 from aridcal.boards.patterns import AnyBoard, Cube
 from aridcal.boards.pictures import grey_image, listed_images
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import AridcalError, MeasurementError, listed, printable, shortened
 from aridcal.head.matching import NotMeasured
 from aridcal.inputs.instrument_settings import ArmCameraSettings
 from aridcal.inputs.tables import Table, read_tables
 from aridcal.reading.files import SETTINGS, read_file
 from aridcal.reading.names import check_name, path_argument
+from aridcal.showing import SHOWN_REMARKS, Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 from aridcal.writing.tables import in_plain_words
@@ -49,8 +48,6 @@ BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 KINDS: Defaults = {**BOARDS, **TAGS}
 
 COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
-SHOWN = 5
-"""Refused images that the terminal names; ``refused.csv`` has them all."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +72,7 @@ class Seen:
         return Seen(good, self.refused | why, self.size, self.shot)
 
 
-def look(images: dict[str, Path], board: AnyBoard, console: Console) -> Seen:
+def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
     """Find a board in images; those of another size than the first good one are refused: they are of another camera.
 
     Args:
@@ -176,12 +173,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_name(arguments.camera, "--camera", AridcalError)
@@ -202,13 +193,10 @@ def _main(arguments: argparse.Namespace) -> None:
                 f"{arguments.joints}: has no row for any of the images: its column `image` needs names as {first!r}"
             )
         _, console = screens(arguments)
-        console.print(
-            f"looking for {arguments.board} {as_written(options)}", markup=False, highlight=False, soft_wrap=True
-        )
+        console.say(f"looking for {arguments.board} {as_written(options)}")
         seen = look(images, board, console)
         said = _write(seen, out, arguments.camera, known, stated, joints)
-    for line in said:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said)
 
 
 def _write(
@@ -249,7 +237,7 @@ def _write(
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated:  # beside the table, where `init` looks for it
             (folder / CAMERA).write_bytes(text.encode() or stated)
-    lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN]]
+    lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN_REMARKS]]
     found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
     return [*lines, *said, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 
@@ -284,6 +272,8 @@ def _strange(misfit: float) -> str:
         f"the marks are {misfit:.2g} px off a plane board as the other images show it: is it bent, or partly covered?"
     )
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,12 +17,12 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal import __version__
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import AridcalError
 from aridcal.writing.files import check_writable
 
@@ -64,7 +64,7 @@ truth:
 
 
 @dataclass(frozen=True)
-class Check:
+class Finding:
     """One thing that was looked at.
 
     Attributes:
@@ -80,7 +80,7 @@ class Check:
     optional: bool = False
 
 
-def checks(here: Path) -> Iterator[Check]:
+def checks(here: Path) -> Iterator[Finding]:
     """Look at everything, the least first.
 
     Args:
@@ -94,16 +94,16 @@ def checks(here: Path) -> Iterator[Check]:
         yield _writable(folder, remedy)
     browser = shutil.which("chromium") or shutil.which("google-chrome") or shutil.which("firefox")
     need = "only for looking at pages on this machine; reports and scenes open in any browser"
-    yield Check("browser", browser or "none", "" if browser else need, optional=True)
+    yield Finding("browser", browser or "none", "" if browser else need, optional=True)
 
 
-def _python() -> Check:
+def _python() -> Finding:
     found = f"{sys.version.split()[0]}, {sys.executable}"
     old = sys.version_info < (3, 11)
-    return Check("python", found, "install Python 3.11 or newer and make a new environment with it" if old else "")
+    return Finding("python", found, "install Python 3.11 or newer and make a new environment with it" if old else "")
 
 
-def _libraries() -> Iterator[Check]:
+def _libraries() -> Iterator[Finding]:
     """Every library that aridcal requires: there, new enough, and importable."""
     for requirement in importlib.metadata.requires("aridcal") or ():
         match = re.match(r"([\w.-]+)\s*(?:>=\s*([\d.]+))?", requirement)
@@ -115,45 +115,45 @@ def _libraries() -> Iterator[Check]:
             version = importlib.metadata.version(name)
             importlib.import_module(IMPORTED_AS.get(name.lower(), name))
         except importlib.metadata.PackageNotFoundError:
-            yield Check(name, "is not installed", again)
+            yield Finding(name, "is not installed", again)
         except Exception as error:
-            yield Check(name, f"cannot be imported: {type(error).__name__}: {error}", f"{again} --force-reinstall")
+            yield Finding(name, f"cannot be imported: {type(error).__name__}: {error}", f"{again} --force-reinstall")
         else:
             old = least is not None and _release(version) < _release(least)
-            yield Check(name, version, again if old else "")
+            yield Finding(name, version, again if old else "")
 
 
 def _release(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in re.findall(r"\d+", version.partition("+")[0])[:3])
 
 
-def _pinocchio() -> Check:
+def _pinocchio() -> Finding:
     """Another Pinocchio, of ROS for instance, may come first on the path."""
     spec = importlib.util.find_spec("pinocchio")
     where = Path(spec.origin or "").resolve() if spec else Path()
     if where.is_relative_to(Path(sys.prefix).resolve()):
-        return Check("pinocchio's place", "in this environment")
+        return Finding("pinocchio's place", "in this environment")
     said = f"comes from {where}, not from this environment"
-    return Check("pinocchio's place", said, "unset PYTHONPATH (ROS sets it), then try again", optional=True)
+    return Finding("pinocchio's place", said, "unset PYTHONPATH (ROS sets it), then try again", optional=True)
 
 
-def _attempt(what: str, look: Callable[[], Check]) -> Check:
+def _attempt(what: str, look: Callable[[], Finding]) -> Finding:
     try:
         return look()
     except Exception as error:
         remedy = "mend what fails above; if all else passes, report this line"
-        return Check(what, f"failed: {type(error).__name__}: {error}", remedy)
+        return Finding(what, f"failed: {type(error).__name__}: {error}", remedy)
 
 
-def _round_trip() -> Check:
+def _round_trip() -> Finding:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.inputs.yaml_file import load_settings
+    from aridcal.jobs.result_folder import write_folder
     from aridcal.prepare.scenario import Scenario
     from aridcal.prepare.simulation import simulate, write_campaign
     from aridcal.result.key_figures import overall
     from aridcal.result.pipeline import identify
     from aridcal.result.saved_model import SavedModel
-    from aridcal.result_folder import write_folder
 
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
@@ -173,16 +173,16 @@ def _round_trip() -> Check:
     wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5
     if written.notices:  # nothing of this robot is hard to draw
         said += f"; {'; '.join(written.notices)}"
-    return Check("round trip", said, "this is a bug: report it with these lines" if wrong or written.notices else "")
+    return Finding("round trip", said, "this is a bug: report it with these lines" if wrong or written.notices else "")
 
 
-def _writable(folder: Path, remedy: str) -> Check:
+def _writable(folder: Path, remedy: str) -> Finding:
     try:
         check_writable(folder / "results", "folder")
     except AridcalError as error:
-        return Check("writing", str(error), remedy)
+        return Finding("writing", str(error), remedy)
     room = shutil.disk_usage(folder).free / 1e6
-    return Check("writing", f"{folder}, {room:.0f} MB free", "free some disk space" if room < 50 else "")
+    return Finding("writing", f"{folder}, {room:.0f} MB free", "free some disk space" if room < 50 else "")
 
 
 def parser() -> CommandParser:
@@ -192,16 +192,10 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     console, _ = screens(arguments)
     bad = []
-    console.print(f"aridcal {__version__}, {Path(__file__).parent}", highlight=False, markup=False, soft_wrap=True)
+    console.say(f"aridcal {__version__}, {Path(__file__).parent}")
     for check in checks(Path.cwd()):
         failed = bool(check.remedy) and not check.optional
         bad += [check.what] if failed else []
@@ -214,11 +208,13 @@ def _main(arguments: argparse.Namespace) -> None:
         )
         console.print(mark, end="  ")
         said = f"{check.what}: {check.found}" + (f". Remedy: {check.remedy}" if check.remedy else "")
-        console.print(said, highlight=False, markup=False, soft_wrap=True)
+        console.say(said)
     if bad:
         raise AridcalError(f"{len(bad)} of these checks failed: {', '.join(bad)}")
     console.print("all checks passed. next: aridcal init --urdf robot.urdf --measurements table.csv", highlight=False)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,30 +21,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
-import pandas as pd
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from aridcal.ageing.history_page import (
     about,
-    alarm_table,
     constant_table,
-    error_table,
     history_page,
-    lines,
     remarks,
-    robot_table,
 )
 from aridcal.ageing.store import read_runs, tables_below
 from aridcal.ageing.wear import History, history
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_scripts, run, screens
-from aridcal.drawing.html import tag
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
 from aridcal.reading.names import path_argument
+from aridcal.showing import Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_folder, claimed
 from aridcal.writing.tables import write_table
@@ -54,46 +45,6 @@ FILES = frozenset({"history.html", "history.csv"})
 
 SHOWN = 12
 """Robots that are printed, and lines about them; the page has all."""
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class FleetHistory:
-    """A fleet over time, for Python.
-
-    Attributes:
-        robots: A row for each robot, the worst first.
-        alarms: A row for each constant that changed: when, by how much, [m] and [rad], of a drift for a month.
-        constants: Every constant in every run, [m] and [rad].
-        errors: Errors on held-out rows, run by run.
-        lines: The whole answer in words.
-    """
-
-    robots: pd.DataFrame
-    alarms: pd.DataFrame
-    constants: pd.DataFrame
-    errors: pd.DataFrame
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def over_time(folder: str | Path, robot: str | None = None) -> FleetHistory:
-    """A fleet over time, for Python.
-
-    Args:
-        folder: What `aridcal fleet` wrote, or a folder above several of them.
-        robot: The one to be shown; None: all.
-
-    Raises:
-        AridcalError: there are no runs, or none of this robot.
-    """
-    found = history(read_runs(Path(folder)), robot)
-    tables = robot_table(found), alarm_table(found), constant_table(found), error_table(found)
-    return FleetHistory(*tables, tuple(lines(found)))
 
 
 def parser() -> CommandParser:
@@ -106,12 +57,6 @@ def parser() -> CommandParser:
     )
     for_scripts(arguments)
     return arguments
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
 
 
 def _main(arguments: argparse.Namespace) -> int:
@@ -127,12 +72,11 @@ def _main(arguments: argparse.Namespace) -> int:
         return _said(found, screens(arguments)[0])
 
 
-def _said(found: History, console: Console) -> int:
+def _said(found: History, console: Screen) -> int:
     console.print(_table(found))
     said = remarks(found)
     more = [f"and {len(said) - SHOWN} more remarks"] if len(said) > SHOWN else []
-    for line in [*said[:SHOWN], *more, *about(found)]:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said[:SHOWN], *more, *about(found))
     return NOT_GOOD if any(robot.alarms for robot in found.robots) else DONE
 
 
@@ -148,6 +92,8 @@ def _table(found: History) -> Table:
         table.add_row(Text(robot.name), str(len(robot.runs)), robot.last_day, *errors, str(len(robot.alarms)))
     return table
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,10 +32,10 @@ from aridcal.command_line import (
     DONE,
     NOT_GOOD,
     CommandParser,
+    command,
     command_parser,
     for_scripts,
     print_headline,
-    run,
     screens,
 )
 from aridcal.errors import OutputError, shortened
@@ -44,12 +43,12 @@ from aridcal.head.found import CACHE
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.measurement_settings import length_argument
 from aridcal.instruments.channels import INCLINATION
+from aridcal.jobs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.plant.keys import files_of
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.freed import held
 from aridcal.reading.names import path_argument
 from aridcal.result.reading import read_job
-from aridcal.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.showing import told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import claimed
@@ -59,11 +58,6 @@ if TYPE_CHECKING:
     from aridcal.result.outcome import Outcome, Verification
     from aridcal.trust.gains import NamedEffect
 
-VERDICTS = {
-    "noise_floor": "the remaining error is consistent with the noise",
-    "structure_remains": "a repeatable error remains",
-    "not_enough_data": "too few data for this model",
-}
 MOST_NOTICES = 8
 
 SEED_DIGITS = 18
@@ -79,6 +73,7 @@ def summary(outcome: Outcome, console: Console) -> None:
     from aridcal.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
     from aridcal.result.folder import what_moved
     from aridcal.result.key_figures import another_day, every_held_out_row, over_time
+    from aridcal.result.verdict import VERDICTS
 
     if not outcome.verdict.for_controller:
         console.print(NOT_FOR_A_CONTROLLER, markup=False, style="bold red")
@@ -108,7 +103,7 @@ def summary(outcome: Outcome, console: Console) -> None:
         console.print(f"verdict: {verdict.word}: {noise_unknown_in_words(outcome)}", markup=False)
         console.print("  declare `noise` in the campaign, or measure some configurations twice", markup=False)
     else:
-        console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word]}", markup=False)
+        console.print(f"verdict: {verdict.word}: {VERDICTS[verdict.word].line}", markup=False)
         for reason in verdict.reasons:
             console.print(f"  {reason}", markup=False)
     for notice in outcome.notices[:MOST_NOTICES]:
@@ -205,12 +200,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     out = arguments.out or arguments.campaign.parent / "results"
     with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
@@ -244,11 +233,10 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         console.print(f"note: {notice}", markup=False, soft_wrap=True)
     if len(written.notices) > MOST_NOTICES:
         console.print(f"note: and {len(written.notices) - MOST_NOTICES} more, in the pages themselves", markup=False)
-    console.print(f"report: {out / 'report.html'}", soft_wrap=True, markup=False, highlight=False)
+    console.say(f"report: {out / 'report.html'}")
     if (out / "certificate.pdf").is_file():
-        console.print(f"certificate: {out / 'certificate.pdf'}", soft_wrap=True, markup=False, highlight=False)
-    for line in _next(out, outcome, handover):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        console.say(f"certificate: {out / 'certificate.pdf'}")
+    console.say(*_next(out, outcome, handover))
     print_headline(arguments, _headline(out, outcome))
     return DONE if _good(outcome) else NOT_GOOD
 
@@ -289,6 +277,8 @@ def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
         **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
     }
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -12,56 +12,17 @@ Example:
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.prompt import IntPrompt
-
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
 from aridcal.errors import OutputError, printable, shortened
-from aridcal.prepare.campaign_text import Draft, draft, scalar
+from aridcal.jobs.proposal import tell
+from aridcal.prepare.campaign_text import draft
 from aridcal.prepare.guesses import nobody
 from aridcal.reading.names import path_argument
-from aridcal.showing import Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, claimed
-
-SHOWN_REMARKS = 5
-
-
-def ask(question: str, answers: Sequence[str], why: str) -> int:
-    """Ask on the terminal; the first answer is proposed."""
-    console = Screen(stderr=True)
-    console.print(f"{question}? ({why})", markup=False)
-    for number, answer in enumerate(answers, start=1):
-        console.print(f"  {number}  {answer}", markup=False, highlight=False)
-    picks = [str(k + 1) for k in range(len(answers))]
-    return IntPrompt.ask("your choice", choices=picks, default=1, console=console) - 1
-
-
-def tell(proposed: Draft, title: str, console: Console) -> None:
-    """Print what was found and what was guessed, and of how many rows a title can say that they are usable."""
-    by_reason = itertools.groupby(proposed.proposal.guesses, key=lambda guess: (guess.why, guess.sure))
-    for (why, sure), group in by_reason:
-        entries = [guess.name if guess.value is None else f"{guess.name} = {scalar(guess.value)}" for guess in group]
-        console.print("[green]found  [/green]" if sure else "[yellow]guessed[/yellow]", end="  ")
-        console.print(f"{', '.join(entries)}: {why}", markup=False, highlight=False, soft_wrap=True)
-    rows = proposed.rows
-    for remark in (*rows.origin.refused, *rows.origin.notices)[:SHOWN_REMARKS]:
-        console.print(f"note     {remark}", markup=False, highlight=False, soft_wrap=True)
-    said = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
-    console.print(said, markup=False, highlight=False, soft_wrap=True)
-
-
-def answer(text: str) -> tuple[str, int]:
-    """A key and the number of an answer: the ``type`` of an argument of argparse."""
-    key, _, number = text.partition("=")
-    if not key or not number.isdecimal() or len(number) > 3:
-        raise argparse.ArgumentTypeError(f"should be KEY=NUMBER, units=2 for instance, not {shortened(text)!r}")
-    return key, int(number)
 
 
 def parser() -> CommandParser:
@@ -91,7 +52,7 @@ def parser() -> CommandParser:
     )
     arguments.add_argument(
         "--package",
-        type=pair,
+        type=_package,
         action="append",
         default=[],
         metavar="NAME=FOLDER",
@@ -116,13 +77,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    packages = {name: path_argument(place) for name, place in arguments.package}
-    return run(lambda: _main(arguments, packages))
-
-
 def pair(text: str) -> tuple[str, str]:
     """The ``type`` of an argument of argparse that gives something a name."""
     name, equals, value = text.partition("=")
@@ -132,7 +86,12 @@ def pair(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
+def _package(text: str) -> tuple[str, Path]:
+    name, place = pair(text)
+    return name, path_argument(place)
+
+
+def _main(arguments: argparse.Namespace) -> None:
     out, choose = arguments.out, ask if sys.stdin.isatty() and not arguments.quiet else nobody
     if out.exists():
         raise OutputError(f"{out}: exists already; delete it, or choose another name with -o")
@@ -141,13 +100,15 @@ def _main(arguments: argparse.Namespace, packages: Mapping[str, Path]) -> None:
     )  # a link that leads to what is not there, for instance
     with claimed(out, "file"):
         settled, xacro = dict(arguments.set), dict(arguments.argument)
-        proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, packages, xacro)
+        proposed = draft(arguments.urdf, arguments.measurements, out, choose, settled, dict(arguments.package), xacro)
         with atomic_file(out) as path:
             path.write_text(proposed.campaign.text, encoding="utf-8")
     console, _ = screens(arguments)
     tell(proposed, str(out), console)
-    console.print(f"next: aridcal identify {out}", soft_wrap=True, highlight=False, markup=False)
+    console.say(f"next: aridcal identify {out}")
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

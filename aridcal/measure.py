@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
+from markupsafe import Markup
 from rich.progress import track
 from scipy.spatial.transform import Rotation
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.drawing.html import Html, tag
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
+from aridcal.drawing.html import tag
 from aridcal.errors import AridcalError, printable, shortened
 from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
 from aridcal.head.sonar import contradictions
@@ -27,6 +27,7 @@ from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_colum
 from aridcal.inputs.quantities import STD
 from aridcal.inputs.tables import Table
 from aridcal.reading.names import path_argument
+from aridcal.showing import SHOWN_REMARKS, Screen
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_table, claimed_table
 from aridcal.writing.tables import in_plain_words
@@ -35,9 +36,6 @@ BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
 
 REFUSED_COLUMNS = ("shot", "image", "why")
-SHOWN = 5
-"""Refused shots that the terminal names; ``refused.csv`` has them all."""
-
 STYLE = """body { font: 14px system-ui, sans-serif; margin: 1.5rem; color: #222; background: #fff }
 main { display: grid; grid-template-columns: repeat(auto-fill, minmax(256px, 1fr)); gap: 1rem }
 figure { margin: 0 } figcaption { font-size: 12px; overflow-wrap: anywhere } .refused { color: #a11 }"""
@@ -72,7 +70,7 @@ def refused_table(table: Table, results: Sequence[Measured]) -> pd.DataFrame:
     return pd.DataFrame([*shots, *unread], columns=list(REFUSED_COLUMNS))
 
 
-def contact_sheet(results: Sequence[Measured], title: str) -> Html:
+def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
     """Show all images with what was found in them, as one page that needs nothing else.
 
     Args:
@@ -83,15 +81,15 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Html:
     for m in results:
         content = base64.b64encode(m.thumbnail).decode()
         source = f"data:image/jpeg;base64,{content}"
-        image = Html(f'<img alt="" width="{THUMBNAIL}" src="{source}">') if m.thumbnail else Html("")
+        image = Markup(f'<img alt="" width="{THUMBNAIL}" src="{source}">') if m.thumbnail else Markup("")
         caption = f"shot {m.shot.line}, {m.shot.image}: {_found(m) or m.why}"
         text = tag("figcaption", caption) if _found(m) else tag("figcaption", caption, class_="refused")
         figures.append(tag("figure", image, text))
     good = sum(m.std is not None for m in results)
-    head = tag("head", Html('<meta charset="utf-8">'), tag("title", title), tag("style", Html(STYLE)))
+    head = tag("head", Markup('<meta charset="utf-8">'), tag("title", title), tag("style", Markup(STYLE)))
     summary = tag("p", f"{good} of {len(results)} shots measured.")
     body = tag("body", tag("h1", title), summary, tag("main", figures))
-    return Html("<!doctype html>" + tag("html", head, body, lang="en"))
+    return Markup("<!doctype html>") + tag("html", head, body, lang="en")
 
 
 def _found(m: Measured) -> str:
@@ -129,12 +127,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_apart(_written(out), [arguments.head])
@@ -146,7 +138,7 @@ def _written(out: Path) -> list[Path]:
     return [out, *(out.with_name(name) for name in BESIDE)]
 
 
-def _measure(settings: Path, out: Path, console: Console) -> None:
+def _measure(settings: Path, out: Path, console: Screen) -> None:
     head, squares, table, shots = load(settings)
     check_apart(_written(out), [head.squares, head.shots, *(head.shots.parent / shot.image for shot in shots)])
     work = measure_shots(shots, head, squares)
@@ -163,13 +155,14 @@ def _measure(settings: Path, out: Path, console: Console) -> None:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")
-    said = [f"refused: {line}" for line in lines[:SHOWN]]
+    said = [f"refused: {line}" for line in lines[:SHOWN_REMARKS]]
     if head.sonars:
         said += sonar_remarks(results, head.sonars.std)
     said.append(f"{out}: {rows - len(refused)} shots measured, {len(refused)} refused")
-    for line in said:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.say(*said)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

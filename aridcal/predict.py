@@ -22,25 +22,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pandas as pd
-from rich.console import Console
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import CampaignError, OutputError
 from aridcal.inputs.query import Query, Remarks
 from aridcal.reading.names import path_argument
 from aridcal.result.predict import predict, read_queries
 from aridcal.result.saved_model import SavedModel
-from aridcal.showing import told_on
+from aridcal.showing import SHOWN_REMARKS, Screen, told_on
 from aridcal.writing.apart import check_apart
 from aridcal.writing.files import atomic_file, check_home, claimed
 from aridcal.writing.tables import ENDINGS, table_file
-
-SHOWN_REMARKS = 5
 
 
 def parser() -> CommandParser:
@@ -59,12 +55,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     if arguments.out.suffix.lower() not in ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
@@ -80,7 +70,7 @@ def _predict(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     if arguments.of is not None:
         calibration = calibration.of_link(arguments.of, arguments.inside)
-    answered = Answered(calibration.measurements.columns.get("x", "x"))
+    answered = PredictionTotals(calibration.measurements.columns.get("x", "x"))
     _, aside = screens(arguments)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("predicting")
@@ -93,7 +83,7 @@ def _predict(arguments: argparse.Namespace) -> None:
 
 
 @dataclass
-class Answered:
+class PredictionTotals:
     """What is said of a table once all its stretches are predicted.
 
     Attributes:
@@ -122,15 +112,16 @@ class Answered:
         self.remarks.add(query)
 
 
-def _report(answered: Answered, out: Path, console: Console) -> None:
+def _report(answered: PredictionTotals, out: Path, console: Screen) -> None:
     """Print remarks and totals."""
-    for remark in answered.remarks.lines():
-        console.print(remark, markup=False, highlight=False, soft_wrap=True)
+    console.say(*answered.remarks.lines())
     said = f"{out}: {answered.rows} rows, {answered.unlike} of them unlike what was measured"
     said += f", {answered.untold} where no reading told a part of what moves the target" if answered.untold else ""
     said += f", {answered.bare} without a pose because a number is missing" if answered.bare else ""
-    console.print(said, markup=False, highlight=False, soft_wrap=True)
+    console.say(said)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

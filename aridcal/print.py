@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from aridcal.boards.bodies import cup, holder, seat_rise, stl
 from aridcal.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
 from aridcal.boards.patterns import Marks, Tags, drawing, marks, square_strip
 from aridcal.boards.sheet import MM, Sheet, on_paper, pdf, svg
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.errors import CampaignError, OutputError
 from aridcal.head.square import STRIP_SQUARES
 from aridcal.reading.names import path_argument
@@ -85,12 +84,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> None:
     what, out = arguments.what, arguments.out
     options = chosen(arguments, what, ALL)
@@ -98,7 +91,7 @@ def _main(arguments: argparse.Namespace) -> None:
     if out.suffix.lower() not in endings:
         raise OutputError(f"{out}: {what} is written as {' or '.join(endings)}: end the name in that")
     said = _print_body(what, options, out) if what in BODIES else _print_sheet(what, options, out)
-    screens(arguments)[0].print("\n".join(said), markup=False, highlight=False, soft_wrap=True)
+    screens(arguments)[0].say("\n".join(said))
 
 
 def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:
@@ -131,6 +124,8 @@ def _print_sheet(what: str, options: dict[str, Any], out: Path) -> list[str]:
         markers_table(found).to_csv(folder / MARKERS, index=False)
     return [*said, f"{out.parent / MARKERS}: places of its {len(found)} marks"]
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

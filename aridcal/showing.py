@@ -27,6 +27,9 @@ OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 HEIGHT = 720
 """Of a page inside a notebook, [px]: less than a screen, so that one can scroll past it."""
 
+SHOWN_REMARKS = 5
+"""Remarks that a screen shows; pages and files have all."""
+
 T = TypeVar("T")
 
 EVERY = 2.0
@@ -57,6 +60,11 @@ class Screen(Console):
     def render_str(self, text: str, **how: Any) -> Text:
         """Text as Rich prints it, in lines and in cells of tables."""
         return super().render_str(printable_lines(text), **how)
+
+    def say(self, *lines: str) -> None:
+        """Print lines as they are: nothing in them is markup, and none is broken."""
+        for line in lines:
+            self.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def on_broken_pipe(self) -> None:
         """Rich would end the program with status 1."""
@@ -287,3 +295,19 @@ class Page:
     def _repr_html_(self) -> str:
         source = html.escape(self.html)
         return f'<iframe srcdoc="{source}" width="100%" height="{HEIGHT}" style="border: 0"></iframe>'
+
+
+class InWords:
+    """An answer for Python users, which terminals and notebooks show by its lines.
+
+    Attributes:
+        lines: The whole answer in words.
+    """
+
+    lines: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<div>{html.escape(printable_lines(line))}</div>" for line in self.lines)

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
 
-from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
+from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
@@ -31,12 +30,6 @@ def parser() -> CommandParser:
     )
     for_scripts(arguments)
     return arguments
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
 
 
 def _main(arguments: argparse.Namespace) -> None:
@@ -58,6 +51,8 @@ def _main(arguments: argparse.Namespace) -> None:
     )
     console.print(f"next: aridcal identify {out / 'campaign.yaml'}", soft_wrap=True, markup=False)
 
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -18,78 +18,29 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command_parser, for_clusters, for_scripts, run, screens
-from aridcal.drawing.html import counted, tag
-from aridcal.errors import shortened
-from aridcal.inputs.campaign import Campaign
-from aridcal.overview.study_page import study_page
-from aridcal.plant.engine import dask_engine
-from aridcal.plant.here import here
+from aridcal.command_line import (
+    DONE,
+    NOT_GOOD,
+    CommandParser,
+    command,
+    command_parser,
+    for_clusters,
+    for_scripts,
+    screens,
+)
+from aridcal.jobs.study_run import PAGE, repeated, summary
 from aridcal.plant.record import FAILED
-from aridcal.plant.studied import NAME, Studied, known_runs, studied
-from aridcal.plant.trials import load_study, sought, trials
-from aridcal.prepare.scenario import Scenario
+from aridcal.plant.studied import NAME
+from aridcal.plant.trials import load_study
 from aridcal.reading.names import path_argument
-from aridcal.showing import Progress, told_on
+from aridcal.showing import told_on
 from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, claimed
 
 if TYPE_CHECKING:
-    import pandas as pd
-
-PAGE = "study.html"
-
-
-@dataclass(frozen=True, repr=False, eq=False)
-class StudyRun:
-    """What a study found, for Python.
-
-    Attributes:
-        folder: Of ``study.parquet`` and ``study.html``.
-        cases: A row for each case: shares of runs and median errors, each with its interval (``found_low``, ``found_high``).
-        runs: Every run.
-        effects: Of a campaign: those that runs found, and in what share of them. Of a scenario none; see ``cases``.
-        constants: Of a campaign: how far each scatters over the runs, and what these state, [m] and [rad]. Of a scenario
-            none, for each run has a machine of its own.
-        remaining: Runs that were not done, for the engine went away.
-        lines: The whole answer in words.
-    """
-
-    folder: Path
-    cases: pd.DataFrame
-    runs: pd.DataFrame
-    effects: pd.DataFrame
-    constants: pd.DataFrame
-    remaining: int
-    lines: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        return "\n".join(self.lines)
-
-    def _repr_html_(self) -> str:
-        return "".join(tag("div", line) for line in self.lines)
-
-
-def study_run(done: Studied, out: Path) -> StudyRun:
-    """What a study found, for Python."""
-    from aridcal.overview.as_tables import again_table, case_table, run_table, scatter_table
-
-    halves = [row for row in done.rows if row["rows"] is None]
-    return StudyRun(
-        folder=out,
-        cases=case_table(done),
-        runs=run_table(done),
-        effects=again_table(halves),
-        constants=scatter_table(halves),
-        remaining=done.remaining,
-        lines=tuple(summary(done)),
-    )
+    pass
 
 
 def parser() -> CommandParser:
@@ -104,12 +55,6 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: _main(arguments))
-
-
 def _main(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     check_apart([out / NAME, out / PAGE], [arguments.study])
@@ -117,52 +62,11 @@ def _main(arguments: argparse.Namespace) -> int:
     console, aside = screens(arguments)
     with told_on(aside) as progress:
         done = repeated(job, out, arguments.scheduler, progress)
-    for line in summary(done):
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
-    console.print(f"table: {out / NAME}\npage: {out / PAGE}", markup=False, highlight=False, soft_wrap=True)
+    console.say(*summary(done), f"table: {out / NAME}", f"page: {out / PAGE}")
     return NOT_GOOD if done.remaining or any(row["status"] == FAILED for row in done.rows) else DONE
 
 
-def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progress: Progress) -> Studied:
-    """Do the runs of a study that are not there yet, and write table and page.
-
-    Args:
-        job: As it was read.
-        out: The study's folder.
-        scheduler: Address of a Dask cluster; None: processes of this computer.
-        progress: Told how far it is.
-
-    Raises:
-        AridcalError: the folder cannot be used, or the engine not be had.
-    """
-    with claimed(out, "folder", (NAME, PAGE)):
-        out.mkdir(exist_ok=True)
-        every = trials(job)
-        known = known_runs(out, every)
-        needed = len(known) < len(every)
-        with dask_engine(scheduler, progress) if needed else nullcontext(here) as engine:
-            done = studied(every, known, out, engine, progress)
-        progress("drawing the page")
-        title = job.path.absolute().parent.name + "/" + job.path.name
-        with atomic_file(out / PAGE) as path:
-            page = study_page(done, title, sought(job), isinstance(job, Campaign))
-            path.write_bytes(page.encode("utf-8", "replace"))
-    return done
-
-
-def summary(done: Studied) -> list[str]:
-    """What became of the study, in lines."""
-    failed = [row for row in done.rows if row["status"] == FAILED]
-    known = f", {done.kept:,} of them known already" if done.kept else ""
-    lines = [f"{len(done.rows) - len(failed):,} of {counted(len(done.rows) + done.remaining, 'run')} done{known}"]
-    if failed:
-        lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
-    if done.remaining:
-        lines.append(
-            f"{counted(done.remaining, 'run')} remain, for {done.gone}; start the same command again: what is done stays"
-        )
-    return lines
-
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,13 +10,13 @@ Example:
 
 from __future__ import annotations
 
+import argparse
 import asyncio
 import hashlib
 import os
 import re
 import sys
 import webbrowser
-from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from meshcat.servers.zmqserver import WebSocketHandler, ZMQWebSocketBridge
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
-from aridcal.command_line import CommandParser, command_parser, run
+from aridcal.command_line import CommandParser, command, command_parser
 from aridcal.errors import OutputError
 from aridcal.reading.files import RESULT, read_file
 from aridcal.reading.names import path_argument
@@ -213,18 +213,10 @@ def parser() -> CommandParser:
     return arguments
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command; returns its exit status."""
-    arguments = parser().parse_args(argv)
-    return run(lambda: asyncio.run(_main(scene_file(arguments.folder))))
-
-
-async def _main(scene: Path) -> None:
+async def _show(scene: Path) -> None:
     viewer = Viewer(scene)
     try:
-        Screen().print(
-            f"{viewer.url}  (follows the folder; Ctrl-C ends it)", soft_wrap=True, highlight=False, markup=False
-        )
+        Screen().say(f"{viewer.url}  (follows the folder; Ctrl-C ends it)")
         if _has_screen():
             webbrowser.open(viewer.url)
         await viewer.follow()
@@ -237,6 +229,12 @@ def _has_screen() -> bool:
     names = ("BROWSER", "DISPLAY", "WAYLAND_DISPLAY")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
 
+
+def _main(arguments: argparse.Namespace) -> None:
+    asyncio.run(_show(scene_file(arguments.folder)))
+
+
+main = command(parser, _main)
 
 if __name__ == "__main__":
     sys.exit(main())

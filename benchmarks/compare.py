@@ -27,13 +27,13 @@ import pandas as pd
 import yaml
 
 from aridcal.ageing.comparison import compare, lines
-from aridcal.ageing.difference import CHANGED
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.pipeline import identify
 from aridcal.result.saved_model import SavedModel
 from aridcal.result.saving import calibration
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 TOP = Path(__file__).resolve().parents[1]
 
@@ -84,7 +84,7 @@ def drawn(folder: Path, source: Path, rows: pd.DataFrame) -> SavedModel:
 def tell(p_values: list[float], what: str) -> None:
     """How p-values of pairs that did not change are spread."""
     p = np.sort(p_values)
-    shares = ", ".join(f"{np.mean(p < level):.1%} below {level:g}" for level in (0.5, 0.1, CHANGED))
+    shares = ", ".join(f"{np.mean(p < level):.1%} below {level:g}" for level in (0.5, 0.1, FALSE_ALARMS))
     print(f"{what}: {len(p)} pairs, {shares}; the smallest {p[0]:.2g}", flush=True)
 
 

@@ -245,7 +245,7 @@ PLAIN = """
 import sys, time
 from pathlib import Path
 from aridcal.plant.work import Task, calibrated, inputs_at
-from aridcal.result_folder import write_folder
+from aridcal.jobs.result_folder import write_folder
 out = Path(sys.argv[1])
 given = map(Path, sys.argv[2:])
 tasks = [Task(c.parent.name, str(c), str(out / c.parent.name), inputs_at(c)[0].key, write_folder) for c in given]

@@ -35,12 +35,13 @@ import yaml
 
 from aridcal.ageing.store import read_runs
 from aridcal.ageing.trend import Cycle, Series, dated, evidence
-from aridcal.ageing.wear import FALSE_ALARMS, LOOKS, History, history
+from aridcal.ageing.wear import LOOKS, History, history
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.folder import result_document
 from aridcal.result.pipeline import identify
+from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.writing.files import atomic_folder
 
 TOP = Path(__file__).resolve().parents[1]

@@ -24,7 +24,7 @@ import made_logs  # noqa: E402
 import robots  # noqa: E402
 
 from aridcal.errors import AridcalError  # noqa: E402
-from aridcal.merge import joined  # noqa: E402
+from aridcal.jobs.log_merge import joined  # noqa: E402
 from aridcal.prepare.guesses import nobody  # noqa: E402
 
 CASES: dict[str, dict[str, float]] = {

@@ -18,13 +18,14 @@ import yaml
 from lxml import html
 
 from aridcal.calibration import Calibration
-from aridcal.drawing.html import join, number
+from aridcal.drawing.html import join
 from aridcal.drawing.one_page import OnePage, as_html
 from aridcal.errors import CampaignError
 from aridcal.identify import main as identify_main
 from aridcal.inputs.purposes import About
 from aridcal.instruments.camera_sonar import CAMERA_SONAR
 from aridcal.instruments.setup import Block
+from aridcal.jobs.result_folder import RESULT_FILES
 from aridcal.report import certificate as module
 from aridcal.report.certificate import FILES, certificate, write_certificate
 from aridcal.report.iso_section import iso
@@ -32,7 +33,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.result.saving import calibration
 from aridcal.result.verdict import Verdict
-from aridcal.result_folder import RESULT_FILES
+from aridcal.wording import number
 
 ISSUED = datetime.date(2026, 11, 22)
 ABOUT = {

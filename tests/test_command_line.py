@@ -19,9 +19,10 @@ import pytest
 import aridcal
 from aridcal.__main__ import COMMANDS
 from aridcal.__main__ import main as aridcal_main
-from aridcal.command_line import run, screens
+from aridcal.command_line import command, command_parser, run, screens
 from aridcal.errors import AridcalError
 from aridcal.interrupt import is_command
+from aridcal.showing import Screen
 
 
 def raising(error: BaseException):
@@ -220,12 +221,32 @@ def test_a_command_in_the_background_that_ignores_ctrl_c_goes_on_ignoring_it():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+def test_a_command_gives_its_work_its_arguments_and_takes_its_status(capsys):
+    def parser():
+        arguments = command_parser("toy", "A toy.\n\nExample:\n    aridcal toy x")
+        arguments.add_argument("name")
+        return arguments
+
+    def work(arguments):
+        if arguments.name == "bad":
+            raise AridcalError("no such toy")
+        Screen().say(f"[red]{arguments.name}[/red] {'long ' * 60}", "second")
+        return 3
+
+    main = command(parser, work)
+    assert main(["ball"]) == 3
+    assert capsys.readouterr().out == f"[red]ball[/red] {'long ' * 60}\nsecond\n"
+    assert main(["bad"]) == 2
+    assert "no such toy" in capsys.readouterr().err
+
+
 # -- the console script
 
 
 def test_commands_are_the_modules_that_have_a_main():
     package = Path(aridcal.__file__).parent
-    found = {p.stem for p in package.glob("*.py") if re.search(r"^def main\(", p.read_text("utf-8"), re.MULTILINE)}
+    ends = re.compile(r"^(def main|main = command)\(", re.MULTILINE)
+    found = {p.stem for p in package.glob("*.py") if ends.search(p.read_text("utf-8"))}
     assert set(COMMANDS) == found - {"__main__"}
 
 

@@ -16,7 +16,7 @@ from scipy.stats import kstest
 from aridcal.__main__ import main
 from aridcal.ageing.changes import causes
 from aridcal.ageing.comparison import compare, lines
-from aridcal.ageing.difference import CHANGED, Difference, difference
+from aridcal.ageing.difference import Difference, difference
 from aridcal.effects.basis import Basis
 from aridcal.effects.effect import Coefficient
 from aridcal.errors import AridcalError
@@ -24,6 +24,7 @@ from aridcal.fit.least_squares import fit_identifiable
 from aridcal.fit.stages import recentred
 from aridcal.model.model import Model
 from aridcal.result.saved_model import SavedModel, SolvedModel
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 NAMES = robots.ur10().readings
 
@@ -82,7 +83,7 @@ def test_of_robots_that_did_not_change_as_many_are_said_to_have_as_is_stated(kin
     """The p-value is uniform, though tracker and target stood metres and radians elsewhere."""
     p_values = [difference(*pair(seed, kind)).p_value for seed in range(20)]
     assert kstest(p_values, "uniform").pvalue > 0.01
-    assert np.sum(np.array(p_values) < CHANGED) <= 2
+    assert np.sum(np.array(p_values) < FALSE_ALARMS) <= 2
 
 
 def test_the_squares_are_those_of_the_coefficients_by_the_covariance_of_both() -> None:
@@ -141,7 +142,7 @@ def test_a_zero_that_moved_is_named_with_its_size(joint: int, kind: str) -> None
     assert not others
     if first.words == f"the zero of {NAMES[joint]}":
         assert abs(first.value[0] - size) < 4 * first.std[0]
-    assert found.causes.rest > CHANGED
+    assert found.causes.rest > FALSE_ALARMS
 
 
 def test_a_zero_that_moved_far_is_found_though_nothing_is_linear_there() -> None:

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from aridcal import doctor
-from aridcal.doctor import Check, checks
+from aridcal.doctor import Finding, checks
 
 
-def wrong(found: list[Check]) -> list[str]:
+def wrong(found: list[Finding]) -> list[str]:
     return [c.what for c in found if c.remedy and not c.optional]
 
 
@@ -25,7 +25,7 @@ def test_a_sound_installation_passes_every_check_and_says_so(tmp_path, monkeypat
 
 
 def test_every_required_library_has_a_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(doctor, "_round_trip", lambda: Check("round trip", "left out"))
+    monkeypatch.setattr(doctor, "_round_trip", lambda: Finding("round trip", "left out"))
     found = [c.what for c in checks(tmp_path)]
     required = [r for r in importlib.metadata.requires("aridcal") or [] if "extra ==" not in r]
     assert len(required) > 10

@@ -26,10 +26,10 @@ import aridcal
 from aridcal import api
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import parse_settings
+from aridcal.jobs.result_folder import RESULT_FILES
 from aridcal.plant.here import here
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result_folder import RESULT_FILES
 
 UR10 = robots.URDF / "ur10.urdf"
 UNDECLARED = robots.URDF.parent / "identification" / "arid-undeclared"
@@ -422,8 +422,8 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
         write_campaign(
             simulate(parse_settings(quick, tmp_path / "s.yaml", Scenario)), *[tmp_path / "robots" / name] * 2
         )
-    for module in ("fleet", "study"):  # processes would take longer to start than to work
-        monkeypatch.setattr(sys.modules[f"aridcal.{module}"], "dask_engine", lambda *_: nullcontext(here))
+    for module in ("fleet_run", "study_run"):  # processes would take longer to start than to work
+        monkeypatch.setattr(sys.modules[f"aridcal.jobs.{module}"], "dask_engine", lambda *_: nullcontext(here))
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

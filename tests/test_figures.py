@@ -7,12 +7,14 @@ import re
 import numpy as np
 import pytest
 from lxml import etree
+from markupsafe import Markup
 
 from aridcal.drawing.fields import LEVELS, SQUARES, color_steps, field
-from aridcal.drawing.figures import Trend, correlogram, coverage, curve, falling, histogram, panels
-from aridcal.drawing.html import Html, noting
+from aridcal.drawing.figures import COLOURS, Trend, banded, correlogram, coverage, curve, falling, histogram, panels
+from aridcal.drawing.html import noting
 from aridcal.drawing.plot import Area, Named, Scale, along, legend, scale, written
 from aridcal.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
+from aridcal.drawing.timelines import Stretch, sparkline, timeline
 
 RNG = np.random.default_rng(0)
 HOSTILE = """<b onclick="x">&'"""
@@ -25,17 +27,17 @@ def numbers(d: str) -> np.ndarray:
     return np.array(re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", d), dtype=float).reshape(-1, 2)
 
 
-def svg(drawn: Html) -> etree._Element:
+def svg(drawn: Markup) -> etree._Element:
     return etree.fromstring(drawn.encode())
 
 
-def dots_of(drawn: Html, color: str) -> np.ndarray:
+def dots_of(drawn: Markup, color: str) -> np.ndarray:
     """Where dots of a colour are, shape (n, 2)."""
     found = [p for p in svg(drawn).iter("path") if p.get("stroke") == color and p.get("stroke-linecap") == "round"]
     return numbers("".join(p.get("d") for p in found))
 
 
-def ticks(drawn: Html) -> tuple[dict[float, float], dict[float, float]]:
+def ticks(drawn: Markup) -> tuple[dict[float, float], dict[float, float]]:
     """Places of the numbers of both axes, by their value."""
     words = [t for t in svg(drawn).iter("text") if re.fullmatch(r"[−\d.,e]+", t.text or "")]
     value = {t: float((t.text or "").replace("−", "-").replace(",", "")) for t in words}
@@ -137,6 +139,50 @@ def test_histograms_show_shares_of_each_and_count_the_wild_in_the_last_bin() -> 
     np.testing.assert_allclose(tops, [75.0, 99.0], atol=1.0)
 
 
+def test_curves_and_their_bands_stand_where_the_ticks_say() -> None:
+    at = np.array([10.0, 20.0, 50.0, 80.0])
+    value = np.array([4.0, 2.0, np.nan, 1.0])
+    drawn = banded(
+        "k", "alt", at, {"one": np.column_stack([value, value - 0.5, value + 0.5])}, ("rows", "x [mm]"), None
+    )
+    across, down = ticks(drawn)
+    there = np.isfinite(value)
+    (shape,) = (p for p in svg(drawn).iter("path") if p.get("fill") == COLOURS[0])
+    edge = numbers(shape.get("d"))
+    for column, of, wanted in ((0, across, at[there]), (1, down, value[there])):
+        slope, start = np.polyfit(list(of), list(of.values()), 1)
+        np.testing.assert_allclose(dots_of(drawn, COLOURS[0])[:, column], start + slope * wanted, atol=0.15)
+        upper = wanted if column == 0 else wanted + 0.5
+        np.testing.assert_allclose(edge[3:, column], start + slope * upper[::-1], atol=0.15)
+
+
+@pytest.mark.parametrize("days", [3.0, 40.0, 800.0])
+def test_times_are_named_by_months_or_days_and_a_change_is_marked_between_its_ends(days: float) -> None:
+    day = 19_000.0 + np.linspace(0.0, days, 9)
+    value = np.linspace(-1.0, 1.0, 9)
+    marked = Stretch(day[2], day[5], HOSTILE)
+    drawn = timeline("k", "alt", day, value, np.full(9, 0.1), "zero [mrad]", [marked])
+    dated = [t for t in svg(drawn).iter("text") if re.fullmatch(r"\d{4}-\d{2}(-\d{2})?", t.text or "")]
+    assert 1 <= len(dated) <= 5
+    places = dots_of(drawn, "#0072B2")
+    slope, start = np.polyfit(day, places[:, 0], 1)
+    for word in dated:
+        at = np.datetime64(word.text).astype("datetime64[D]").astype(float)
+        assert float(word.get("x")) == pytest.approx(start + slope * at, abs=0.15)
+    assert not drawn.count("is not drawn")
+    (title,) = svg(drawn).iter("title")
+    assert title.text == HOSTILE
+    box = numbers(title.getnext().get("d"))
+    assert (box[:, 0].min(), box[:, 0].max()) == pytest.approx((places[2, 0], places[5, 0]), abs=0.15)
+
+
+def test_a_line_in_a_cell_ends_in_its_last_value() -> None:
+    drawn = sparkline(np.array([1.0, np.nan, 3.0, 2.0, np.nan]), "alt")
+    (end,) = dots_of(drawn, "#0072B2")
+    np.testing.assert_allclose(end, [4 + 112 * 3 / 4, 12.0], atol=0.05)
+    assert "–" in sparkline(np.full(3, np.nan), "alt")
+
+
 def test_every_joint_has_its_line_and_its_limits() -> None:
     names = ["shoulder", "a_joint_with_a_very_long_name", HOSTILE]
     drawn = coverage("k", "alt", names, [RNG.random(50), np.zeros(5), np.zeros(0)], ["0 to 1 m", "0° … 90°", "−1"])
@@ -170,6 +216,8 @@ def test_hostile_words_stay_words_in_every_figure() -> None:
             ),
             falling("e", HOSTILE, x, {HOSTILE: x + 1}, (HOSTILE, HOSTILE)),
             curve("f", HOSTILE, x, x, x, (x, x), (HOSTILE, HOSTILE), winding=True),
+            banded("g", HOSTILE, x, {HOSTILE: np.column_stack([x, x, x])}, (HOSTILE, HOSTILE), None),
+            timeline("h", HOSTILE, x, x, x, HOSTILE),
         ]
     assert notices == []
     for each in drawn:
@@ -188,7 +236,7 @@ def test_a_figure_of_nothing_is_a_line_in_its_place() -> None:
 # ---- one colour scale ------------------------------------------------------------------------------------------------
 
 
-def colors_of(drawn: Html) -> dict[str, int]:
+def colors_of(drawn: Markup) -> dict[str, int]:
     """How many dots each colour has."""
     return {color: len(dots_of(drawn, color)) for color in LEVELS}
 

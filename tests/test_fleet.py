@@ -24,6 +24,7 @@ from aridcal.errors import AridcalError, CampaignError, OutputError
 from aridcal.fleet import main
 from aridcal.inputs.campaign import load_campaign
 from aridcal.inputs.yaml_file import load_settings
+from aridcal.jobs.result_folder import write_folder
 from aridcal.overview.fleet_page import fleet_page
 from aridcal.plant import work
 from aridcal.plant.engine import dask_engine
@@ -36,7 +37,6 @@ from aridcal.plant.table import merged, read_rows
 from aridcal.plant.work import Task, calibrated
 from aridcal.prepare.scenario import Scenario
 from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result_folder import write_folder
 from aridcal.showing import SILENT, Progress, duration
 from aridcal.writing.files import claimed
 

@@ -11,7 +11,8 @@ import pytest
 from aridcal.overview.fleet_page import fleet_page
 from aridcal.plant.drifting import chance_of, drifting, freedom_of
 from aridcal.plant.runs import Ran
-from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, quantile_of_largest, standing_out
+from aridcal.plant.standing_out import FEWEST, quantile_of_largest, standing_out
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 START = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
 

@@ -21,8 +21,9 @@ from aridcal.__main__ import main
 from aridcal.ageing.history_page import MONTH, date
 from aridcal.ageing.store import read_runs, tables_below
 from aridcal.ageing.trend import YEAR, Cycle, Series, dated, evidence, with_cycle
-from aridcal.ageing.wear import FALSE_ALARMS, history
+from aridcal.ageing.wear import history
 from aridcal.errors import AridcalError
+from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.writing.files import atomic_folder
 
 FIRST = datetime.datetime(2026, 1, 5)

@@ -20,10 +20,10 @@ from aridcal import identify, predict
 from aridcal.fit.constants import stage_urdf
 from aridcal.fit.least_squares import fit
 from aridcal.fit.problem import problem
+from aridcal.jobs.result_folder import RESULT_FILES
 from aridcal.result import pipeline
 from aridcal.result.outcome import Outcome
 from aridcal.result.saved_model import SavedModel
-from aridcal.result_folder import RESULT_FILES
 from aridcal.trust.halves import halves as compare_halves
 
 CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}

@@ -29,6 +29,7 @@ from aridcal.identify import summary
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.channels import columns, spread
+from aridcal.jobs.result_folder import write_folder
 from aridcal.report.data_section import data
 from aridcal.report.first_screen import summary as first_screen
 from aridcal.report.instruments_section import BLIND, MORE, instruments
@@ -36,7 +37,6 @@ from aridcal.result.folder import residual_table, result_document
 from aridcal.result.instruments import known_scale, scale_std, thing_values
 from aridcal.result.outcome import Outcome, leading
 from aridcal.result.saving import calibration
-from aridcal.result_folder import write_folder
 
 BLOCKS: dict[str, Callable[[gauges.Arm], tuple[gauges.Measured, ...]]] = {
     "point": lambda arm: (gauges.points(arm),),

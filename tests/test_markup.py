@@ -7,8 +7,10 @@ import math
 import numpy as np
 import pytest
 from lxml import html
+from markupsafe import Markup
 
-from aridcal.drawing.html import Html, bullets, counted, fixed, join, number, plus_minus, table, tag
+from aridcal.drawing.html import bullets, join, table, tag
+from aridcal.wording import counted, fixed, number, plus_minus
 
 HOSTILE = """<img src=x onerror="alert('1')"> & </td><script>alert(1)</script>"""
 
@@ -24,7 +26,12 @@ def test_text_comes_back_as_it_was_written() -> None:
 
 def test_markup_is_not_escaped_twice() -> None:
     assert tag("p", tag("b", "a & b")) == "<p><b>a &amp; b</b></p>"
-    assert join(["<", Html("<br>"), [tag("i", "x")]]) == "&lt;<br><i>x</i>"
+    assert join(["<", Markup("<br>"), [tag("i", "x")]]) == "&lt;<br><i>x</i>"
+
+
+def test_text_that_is_added_to_markup_is_escaped() -> None:
+    assert tag("b", "x") + HOSTILE == tag("b", "x") + join(HOSTILE)
+    assert not list(html.fragment_fromstring(tag("b", "x") + HOSTILE, create_parent="div").iter("img", "script"))
 
 
 def test_attributes_that_are_none_are_left_out() -> None:

@@ -17,13 +17,14 @@ from scipy.stats import chi2
 
 import aridcal
 from aridcal.errors import AridcalError, MeasurementError
+from aridcal.jobs.log_merge import joined
 from aridcal.logs import averages, bags
 from aridcal.logs.alignment import Moves, jump
 from aridcal.logs.clocks import correlations
 from aridcal.logs.log import Log
 from aridcal.logs.merging import Merged
 from aridcal.logs.standstills import standstills
-from aridcal.merge import joined, main
+from aridcal.merge import main
 from aridcal.prepare.guesses import nobody
 
 UR10 = robots.URDF / "ur10.urdf"

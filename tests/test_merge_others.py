@@ -12,8 +12,8 @@ import robots
 from made_logs import Made
 
 import aridcal
+from aridcal.jobs.log_merge import joined
 from aridcal.logs.merging import Merged
-from aridcal.merge import joined
 from aridcal.prepare.guesses import nobody
 
 UR10 = robots.URDF / "ur10.urdf"

@@ -14,9 +14,10 @@ import pandas as pd
 import pytest
 import robots
 from lxml import html
+from markupsafe import Markup
 from rich.console import Console
 
-from aridcal.drawing.html import Html, join, number
+from aridcal.drawing.html import join
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS, Barred
 from aridcal.effects.effect import Coefficient, Effect
@@ -36,6 +37,7 @@ from aridcal.robot.doty import doty_links
 from aridcal.search.noise_tests import Clue
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.trust.halves import Halves
+from aridcal.wording import number
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""
@@ -70,7 +72,7 @@ def report(outcome: Outcome, handover: Handover) -> str:
     return page(outcome, handover)
 
 
-def whole_page(outcome: Outcome) -> Html:
+def whole_page(outcome: Outcome) -> Markup:
     """The page with exports of its own."""
     return page(outcome, hand_over(outcome))
 

@@ -16,6 +16,7 @@ import aridcal
 from aridcal.errors import CampaignError, OutputError
 from aridcal.inputs.campaign import Campaign
 from aridcal.inputs.yaml_file import load_settings
+from aridcal.jobs.study_run import study_run
 from aridcal.overview.study_page import study_page
 from aridcal.plant import trials as room
 from aridcal.plant.curves import found_again, median, points, scatters, share
@@ -27,7 +28,7 @@ from aridcal.prepare.simulation import simulate, write_campaign
 from aridcal.result.outcome import Outcome
 from aridcal.result.pipeline import identify
 from aridcal.showing import SILENT
-from aridcal.study import main, study_run
+from aridcal.study import main
 
 ROOT = Path(__file__).parent.parent
 

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as fisher
 
-from aridcal.ageing.difference import CHANGED, Difference
+from aridcal.ageing.difference import Difference
 from aridcal.fit.normal_equations import across
+from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.upkeep.suspects import effect_groups, effect_in_words
 
 MOST = 8
@@ -105,11 +106,11 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
     chosen = [c for c in candidates if moved and all(of.columns[k].coefficient.name in moved for k in c.own)]
     alike: dict[str, tuple[str, ...]] = {}
     left = _left(of.z, chosen)
-    while of.p_of(float(left @ left), len(of.z) - _width(chosen)) < CHANGED and len(chosen) < MOST:
+    while of.p_of(float(left @ left), len(of.z) - _width(chosen)) < FALSE_ALARMS and len(chosen) < MOST:
         others = [c for c in candidates if c not in chosen]
         gains = [_gain(c, chosen, left) for c in others]
         chances = [_log_p(of, gain, c.X.shape[1]) for gain, c in zip(gains, others, strict=True)]
-        if not others or min(chances) + np.log(len(candidates)) > np.log(CHANGED):
+        if not others or min(chances) + np.log(len(candidates)) > np.log(FALSE_ALARMS):
             break
         best = int(np.argmin(chances))
         as_good = [k for k, gain in enumerate(gains) if gain > gains[best] - ALIKE]
@@ -119,7 +120,7 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
         left = _left(of.z, chosen)
     while chosen:
         found = [_cause(of, chosen, k, len(candidates), alike.get(c.words, ()), moved) for k, c in enumerate(chosen)]
-        needless = [c for c, cause in zip(chosen, found, strict=True) if cause.p_value > CHANGED]
+        needless = [c for c, cause in zip(chosen, found, strict=True) if cause.p_value > FALSE_ALARMS]
         if not needless:
             break
         chosen.remove(needless[-1])

@@ -6,20 +6,21 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.ageing.comparison import Comparison, constants, lines, p_in_words, worst
 from aridcal.drawing.figures import histogram
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, figures, number, plus_minus, table, tag
-from aridcal.drawing.words import reading_in_words, shown_in
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.report.page import drawn
+from aridcal.wording import number, plus_minus, reading_in_words, shown_in
 
 LISTED = 40
 """Coefficients that the page lists; `compare.json` has all."""
 
 
-def compare_page(found: Comparison, names: tuple[str, str]) -> Html:
+def compare_page(found: Comparison, names: tuple[str, str]) -> Markup:
     """The page, self-contained.
 
     Args:

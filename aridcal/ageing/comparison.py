@@ -10,12 +10,11 @@ import numpy as np
 
 from aridcal import __version__
 from aridcal.ageing.changes import Cause, Causes, causes, untold_zeros
-from aridcal.ageing.difference import CHANGED, Difference, difference
-from aridcal.drawing.html import number, plus_minus
-from aridcal.drawing.words import shown_in
-from aridcal.result.outcome import enumerated
+from aridcal.ageing.difference import Difference, difference
 from aridcal.result.saved_model import SavedModel
 from aridcal.robot.chain import Robot
+from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import enumerated, number, plus_minus, shown_in
 
 LARGE = 3e-3
 """[m] and [rad]: a change above this is no longer linear: terms of second order reach 10 um and 10 urad."""
@@ -117,14 +116,14 @@ def lines(found: Comparison) -> list[str]:
     d = found.difference
     odd = p_in_words(d.p_value)
     if not found.changed:
-        said = [f"nothing changed beyond the uncertainty ({odd}; below {CHANGED:g} a change is told)"]
+        said = [f"nothing changed beyond the uncertainty ({odd}; below {FALSE_ALARMS:g} a change is told)"]
     else:
         said = [f"changed: the predicted poses differ by more than the uncertainty of both ({odd})"]
     said.append(_sizes(d))
     said += [_cause(c) for c in found.causes.found]
     if found.changed and not found.causes.found:
         said.append("no single constant, zero or effect explains it")
-    elif found.changed and found.causes.rest < CHANGED:
+    elif found.changed and found.causes.rest < FALSE_ALARMS:
         said.append(
             f"what else changed cannot be named: more is left than the uncertainty explains ({p_in_words(found.causes.rest)})"
         )
@@ -220,7 +219,7 @@ def document(found: Comparison) -> dict[str, Any]:
         "format": 1,
         "changed": found.changed,
         "p_value": d.p_value,
-        "false_alarms": CHANGED,
+        "false_alarms": FALSE_ALARMS,
         "compared": len(d.z),
         "configurations": len(d.readings),
         "poses": poses,

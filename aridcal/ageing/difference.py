@@ -44,16 +44,14 @@ from scipy.linalg import svd
 from scipy.stats import f as fisher
 
 from aridcal.ageing.poses import OVER_TIME, seen_by_both
-from aridcal.drawing.html import counted
 from aridcal.effects.effect import Coefficient
 from aridcal.fit.normal_equations import across, pseudo_inverse
 from aridcal.result.saved_model import SavedModel, SolvedModel
 from aridcal.robot.chain import Robot
+from aridcal.trust.workspace import LOOSE
+from aridcal.upkeep.bounds import FALSE_ALARMS
 from aridcal.upkeep.repair import unit_of
-
-CHANGED = 0.01
-"""Chance of a false alarm: of a hundred pairs of calibrations of a robot that did not change one is said to have changed.
-`aridcal check` has the same."""
+from aridcal.wording import counted
 
 SMALLEST = 1e-7
 """[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""
@@ -61,9 +59,6 @@ SMALLEST = 1e-7
 SECOND = 0.1
 """[m]: what a squared angle moves that is hardly known, when base and tool took their part of it: a tenth of what it does at a
 metre. Of angles known to 1 mrad it is 0.1 um."""
-
-LOOSE = 0.1
-"""[m] and [rad]: what a constant, or an effect at the target, may be off by that no row tells; no robot is wrong by more."""
 
 ALIKE = 1e-5
 """Share of a constant's squares that other constants leave of it where it is one motion with them but for terms of second order,
@@ -168,7 +163,7 @@ class Difference:
     @property
     def changed(self) -> bool:
         """Whether more differs than the uncertainty explains."""
-        return self.p_value < CHANGED
+        return self.p_value < FALSE_ALARMS
 
     @cached_property
     def apart(self) -> np.ndarray:

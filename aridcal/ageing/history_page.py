@@ -6,17 +6,18 @@ from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.ageing.comparison import p_in_words
 from aridcal.ageing.trend import FEWEST
-from aridcal.ageing.wear import DAY_ZERO, FALSE_ALARMS, History, RobotHistory, Watched
+from aridcal.ageing.wear import DAY_ZERO, History, RobotHistory, Watched
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
-from aridcal.drawing.timelines import Band, sparkline, timeline
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, bullets, figures, table, tag
+from aridcal.drawing.timelines import Stretch, sparkline, timeline
 from aridcal.report.page import drawn
-from aridcal.result.outcome import enumerated
+from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import counted, enumerated, number, plus_minus, shown_in
 
 MONTH = 365.25 / 12
 """[d]"""
@@ -194,7 +195,7 @@ def error_table(found: History) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)[columns]
 
 
-def history_page(found: History, title: str) -> Html:
+def history_page(found: History, title: str) -> Markup:
     """The page, self-contained.
 
     Args:
@@ -237,12 +238,13 @@ def _caption(w: Watched) -> Content:
     return [tag("b", w.robot), f" · {w.name} · {what}"]
 
 
-def _picture(w: Watched) -> Html:
+def _picture(w: Watched) -> Markup:
     unit, scale = shown_in(w.unit)
-    bands = [] if w.change is None else [Band(w.change.low, w.change.high, "when it began")]
+    stretches = [] if w.change is None else [Stretch(w.change.low, w.change.high, "when it began")]
     series = w.series
     alt = f"{w.name} of {w.robot} over time, with bars of two sigma"
-    return timeline(series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", alt, bands)
+    key = f"{w.robot}-{w.name}"
+    return timeline(key, alt, series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", stretches)
 
 
 def _robots(found: History) -> Iterator[Content]:

@@ -28,11 +28,9 @@ from scipy.stats import chi2
 
 from aridcal.ageing.store import Runs
 from aridcal.ageing.trend import FEWEST, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
-from aridcal.drawing.html import number
 from aridcal.errors import AridcalError, nearest
-
-FALSE_ALARMS = 0.01
-"""Share of seasons without any change that have an alarm, anywhere in the fleet."""
+from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import number
 
 LOOKS = 12
 """Times at the least that a season is looked at: once a month."""

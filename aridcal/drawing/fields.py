@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from aridcal.drawing.figures import EDGES, TICKS, WIDTH, below, beside, drawn_or_missing
-from aridcal.drawing.html import number
 from aridcal.drawing.plot import (
     INK,
     LINE,
@@ -26,6 +25,7 @@ from aridcal.drawing.plot import (
     whole,
     written,
 )
+from aridcal.wording import number
 
 # Small to large: brightness falls all the way, so that it survives grey print and colour blindness.
 LEVELS = ("#c9d3dc", "#8cc3e8", "#3f93c9", "#a3326b", "#3b1f5b")

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import ParamSpec
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Html, attempt, missing
+from aridcal.drawing.html import attempt, missing
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -38,6 +39,10 @@ from aridcal.drawing.plot import (
 P = ParamSpec("P")
 
 BEFORE, AFTER = "#D55E00", "#0072B2"  # Okabe and Ito's
+
+COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
+"""Of several curves: theirs, too; of more curves the first ones are drawn."""
+
 # At most so many points are drawn in one cloud.
 POINTS = 500
 
@@ -51,15 +56,15 @@ EDGES = (34.0, 8.0)
 """Room below an area, for ticks and their label, and at its right."""
 
 
-def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Html]:
+def drawn_or_missing(draw: Callable[P, str]) -> Callable[P, Markup]:
     """Turn a function that draws into one that returns a line in its place if it fails.
 
     Its first two arguments are ``key`` and ``alt``.
     """
 
     @functools.wraps(draw)
-    def drawn(*args: P.args, **kwargs: P.kwargs) -> Html:
-        return attempt(f"report.html: the figure {str(args[0])!r}", lambda: Html(draw(*args, **kwargs)), missing)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Markup:
+        return attempt(f"report.html: the figure {str(args[0])!r}", lambda: Markup(draw(*args, **kwargs)), missing)
 
     return drawn
 
@@ -80,7 +85,7 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
     y = Scale(0.0, 1.05 * max(float(share.max()) for share in shares))
     colors = (BEFORE, AFTER)
     names = [Named(name, color, "box") for name, color in zip(values, colors, strict=False)]
-    area, made = _axes((label, "rows [%]"), Scale(0.0, float(edges[-1])), y, names)
+    area, made = axes((label, "rows [%]"), Scale(0.0, float(edges[-1])), y, names)
     for share, color, filled in zip(shares, colors, (0.15, 0.45), strict=False):
         made.append(stairs(area, edges, share, 0.0, color, filled, 1.4))
     return whole(alt, WIDTH, HEIGHT, made)
@@ -149,7 +154,7 @@ def panels(
         trends: Of each cloud, by the same names.
     """
     top = 1.05 * (max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0)
-    whole_area, _ = _axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
+    whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
     gap, count = 10.0, len(values)
     each = (whole_area.width - gap * (count - 1)) / count
     made = [below(whole_area, labels[0]), beside(whole_area, labels[1])]
@@ -196,7 +201,7 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
     top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
     names = (Named("95 % of noise", GREY, "box"), Named("residuals", AFTER))
     lags = lags.astype(float)
-    area, made = _axes((label, "correlation [1]"), scale(lags, 0.05), Scale(-top, top), names)
+    area, made = axes((label, "correlation [1]"), scale(lags, 0.05), Scale(-top, top), names)
     ends = np.array([area.x.low, area.x.high])
     made += [
         band(area, ends, np.full(2, -bound), np.full(2, bound), GREY, 0.18),
@@ -228,7 +233,7 @@ def falling(
     colors = (AFTER, BEFORE, GREY)
     names = [Named(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
     x = Scale(0.0, 1.05 * max(float(at.max()), 1.0))
-    area, made = _axes(labels, x, Scale(low / room, high * room, log=True), names)
+    area, made = axes(labels, x, Scale(low / room, high * room, log=True), names)
     for v, color in zip(there.values(), colors, strict=False):
         own = dots(area, at, v, color, size=4.0, opacity=1.0)
         made.append(line(area, at, v, color) + own if joined else own)
@@ -263,7 +268,7 @@ def curve(
     names = (Named("rows", GREY), Named("identified, ± 2σ", AFTER, "line"))
     width = WIDE if winding else WIDTH
     x = scale(np.concatenate([at, rows[0]]), 0.03)
-    area, made = _axes(labels, x, scale(np.array(cut), 0.06), names, width)
+    area, made = axes(labels, x, scale(np.array(cut), 0.06), names, width)
     some = _some(len(rows[0]))
     inside = [
         band(area, at, value - 2 * std, value + 2 * std, AFTER, 0.25),
@@ -274,7 +279,37 @@ def curve(
     return whole(alt, width, HEIGHT, made, "plot wide" if winding else "plot")
 
 
-def _axes(
+@drawn_or_missing
+def banded(
+    key: str,
+    alt: str,
+    at: np.ndarray,
+    values: Mapping[str, np.ndarray],
+    labels: tuple[str, str],
+    top: float | None,
+) -> str:
+    """Some curves over one axis, each with the interval of its points.
+
+    Args:
+        key: Of the figure, unique in the page.
+        alt: What the figure shows, for those who cannot see it.
+        at: Shape (B,), B > 1.
+        values: By name, shape (B, 3): value, lower and upper end of the interval; NaN where there is none.
+        labels: Of the two axes, with their units.
+        top: Of the vertical axis; None: what the values need.
+    """
+    highest = max((float(np.nanmax(v)) for v in values.values() if np.isfinite(v).any()), default=0.0)
+    names = [Named(name, color, "line") for name, color in zip(values, COLOURS, strict=False)]
+    area, made = axes(labels, scale(at.astype(float)), Scale(0.0, top or 1.05 * highest or 1.0), names)
+    for v, color in zip(values.values(), COLOURS, strict=False):
+        there = np.isfinite(v).all(axis=1)
+        x, (value, low, high) = at[there], np.clip(v[there], area.y.low, area.y.high).T
+        made += [band(area, x, low, high, color, 0.18), line(area, x, value, color)]
+        made.append(dots(area, x, value, color, size=4.4, opacity=1.0))
+    return whole(alt, WIDTH, HEIGHT, made)
+
+
+def axes(
     labels: tuple[str, str],
     x: Scale,
     y: Scale,

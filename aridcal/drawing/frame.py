@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from aridcal.drawing.html import Content, Html, join, number
+from markupsafe import Markup
+
+from aridcal.drawing.html import Content, join
 from aridcal.errors import printable_lines
+from aridcal.wording import number
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -30,7 +33,7 @@ class Section:
     key: str
 
     @property
-    def body(self) -> Html:
+    def body(self) -> Markup:
         """Its content as markup."""
         return join(self.content)
 
@@ -56,14 +59,14 @@ def asset(name: str) -> str:
     return files("aridcal.drawing").joinpath(f"assets/{name}").read_text("utf-8")
 
 
-def filled(template: str, **values: object) -> Html:
+def filled(template: str, **values: object) -> Markup:
     """A template with its values.
 
     Args:
         template: File in `assets/`.
-        values: By their names there; :class:`Html` goes in as it is, all else is escaped. A name without a value is an error.
+        values: By their names there; :class:`Markup` goes in as it is, all else is escaped. A name without a value is an error.
     """
-    return Html(_templates().get_template(template).render(values))
+    return Markup(_templates().get_template(template).render(values))
 
 
 def sections(named: Sequence[tuple[str, Content]]) -> list[Section]:
@@ -71,7 +74,7 @@ def sections(named: Sequence[tuple[str, Content]]) -> list[Section]:
     return [Section(title, content, f"part-{k}") for k, (title, content) in enumerate(named, start=1)]
 
 
-def framed_page(title: str, head: Content, parts: Sequence[Section], foot: str) -> Html:
+def framed_page(title: str, head: Content, parts: Sequence[Section], foot: str) -> Markup:
     """A page in the report's style that needs nothing else: first screen, contents, sections, foot.
 
     Args:
@@ -80,18 +83,18 @@ def framed_page(title: str, head: Content, parts: Sequence[Section], foot: str) 
         parts: Sections; the contents lead to each.
         foot: The last line.
     """
-    style = Html(asset("report.css"))
+    style = Markup(asset("report.css"))
     return filled("page.html", title=title, style=style, head=join(head), sections=parts, foot=foot)
 
 
-def empty_page(title: str, notice: str) -> Html:
+def empty_page(title: str, notice: str) -> Markup:
     """A page that says why it shows nothing, so that none of an earlier result is taken for it."""
     return filled("empty.html", title=title, notice=notice)
 
 
 def card(
     noun: str, unit: str, before: tuple[str, float], after: tuple[str, float], said: str, below: Content = ""
-) -> Html:
+) -> Markup:
     """Before and after of one quantity in large figures.
 
     Args:

@@ -1,38 +1,25 @@
-"""HTML that is safe by construction (text is escaped unless it is markup already), and numbers as text.
+"""HTML that is safe by construction (text is escaped unless it is markup already).
 
 What only serves looks fails by itself: a notice in its place (:func:`attempt`), and everything else goes on.
 """
 
 from __future__ import annotations
 
-import math
-import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from html import escape, unescape
 from typing import TypeVar
 
+from markupsafe import Markup, escape
+
 from aridcal.errors import printable, printable_lines, shortened
-
-
-class Html(str):
-    """Text that is markup and goes into a page as it is."""
-
-    def __html__(self) -> Html:
-        """What templates ask markup for; text without it is escaped there."""
-        return self
-
 
 # Text, which is escaped; markup, which is not; or a sequence of either.
 Content = str | Sequence["Content"]
 
 # Elements without content.
 VOID = frozenset({"meta", "br"})
-
-# Numbers between the first two are written without an exponent, with no more decimals than the third.
-SMALL, LARGE, MOST_DECIMALS = 1e-4, 1e6, 9
 
 ON_A_PHONE, HALF_A_PHONE = 46, 20
 """Letters of a table side by side on a phone, 390 px wide, and of a number with its title in half of that width."""
@@ -51,7 +38,7 @@ LONGEST = 300
 _missing: ContextVar[list[str] | None] = ContextVar("missing", default=None)
 
 
-def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
+def tag(name: str, /, *content: Content, **attributes: str | None) -> Markup:
     """An element with its content.
 
     Args:
@@ -69,25 +56,25 @@ def tag(name: str, /, *content: Content, **attributes: str | None) -> Html:
             pairs += f' {written}="{escape(printable_lines(value))}"'
     start = f"<{name}{pairs}>"
     if name in VOID:
-        return Html(start)
-    return Html(f"{start}{join(content)}</{name}>")
+        return Markup(start)
+    return Markup(f"{start}{join(content)}</{name}>")
 
 
-def join(content: Content) -> Html:
+def join(content: Content) -> Markup:
     """Content one after the other: text is escaped, markup goes in as it is."""
-    if isinstance(content, Html):
+    if isinstance(content, Markup):
         return content
     if isinstance(content, str):
-        return Html(escape(printable_lines(content)))
-    return Html("".join(join(part) for part in content))
+        return escape(printable_lines(content))
+    return Markup("").join(join(part) for part in content)
 
 
-def missing(notice: str) -> Html:
+def missing(notice: str) -> Markup:
     """The line that stands where something could not be drawn."""
     return tag("p", notice, class_="missing")
 
 
-def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Html:
+def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: Content, numbers: int = 1) -> Markup:
     """A table; where the page is narrow, one that is too wide for it stands row below row, each cell with its column's title.
 
     Args:
@@ -97,8 +84,8 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
         numbers: From this column on cells are numbers, set to the right.
     """
     lines = [[join(cell) for cell in row] for row in rows]
-    shown = [[plain(cell) for cell in row] for row in lines]
-    names = [plain(join(title)) for title in head]
+    shown = [[cell.striptags() for cell in row] for row in lines]
+    names = [join(title).striptags() for title in head]
     columns = [[name, *(row[k] for row in shown)] for k, name in enumerate(names)]
     stacked = sum(_letters(column, k >= numbers) + BETWEEN for k, column in enumerate(columns)) > ON_A_PHONE
 
@@ -108,13 +95,13 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
     def kind(column: int) -> str | None:
         return "n" if column >= numbers else None
 
-    def cell(column: int, content: Html) -> Html:
+    def cell(column: int, content: Markup) -> Markup:
         if not stacked:
             return tag("td", content, class_=kind(column))
         begins = pairs and column >= numbers and ":" in names[column]  # of several numbers that belong together
         return tag("td", content, class_="n first" if begins else kind(column), data_label=names[column])
 
-    def line(row: Sequence[Html]) -> Html:
+    def line(row: Sequence[Markup]) -> Markup:
         return tag(
             "tr", tag("th", row[0], scope="row"), [cell(k, content) for k, content in enumerate(row[1:], start=1)]
         )
@@ -126,11 +113,6 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
         "table", tag("caption", caption), top, body, class_="stacked pairs" if pairs else "stacked" if stacked else None
     )
     return tag("div", whole, class_="scroll", tabindex="0", role="group", aria_label="table")
-
-
-def plain(markup: Html) -> str:
-    """What a reader sees of markup, without its elements."""
-    return unescape(re.sub("<[^>]*>", "", markup))
 
 
 def _letters(column: Sequence[str], numbers: bool) -> int:
@@ -147,7 +129,7 @@ def _letters(column: Sequence[str], numbers: bool) -> int:
     )
 
 
-def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
+def figures(drawn: Iterable[tuple[Content, Markup]]) -> Markup:
     """Figures side by side where there is room.
 
     Args:
@@ -157,7 +139,7 @@ def figures(drawn: Iterable[tuple[Content, Html]]) -> Html:
     return tag("div", made, class_="figures")
 
 
-def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Html:
+def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Markup:
     """A list; of a long one the first items and the number of the others.
 
     Args:
@@ -175,41 +157,6 @@ def bullets(items: Iterable[Content], most: int | None = None, what: str = "more
 def codes(names: Sequence[str]) -> Content:
     """Names one after the other, set as code."""
     return [part for name in names for part in (", ", tag("code", name))][1:]
-
-
-def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, a dash where there is none.
-
-    ``0.0123`` and ``1,234`` are written out; what is below :data:`SMALL` or from :data:`LARGE` on has an exponent.
-    """
-    if not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    size = abs(value)
-    if not SMALL <= size < LARGE:
-        return f"{value:.{digits - 1}e}".replace("-", "−")
-    leading = math.floor(math.log10(size))  # place of the first digit: 0 for 1 to 9.99
-    return fixed(value, max(digits - 1 - leading, 0))
-
-
-def plus_minus(value: float, std: float) -> str:
-    """A value with its standard deviation, both to two digits of the latter; the value alone if there is none."""
-    if not (math.isfinite(std) and std > 0):
-        return number(value, 4)
-    leading = math.floor(math.log10(std))
-    decimals = min(max(1 - leading, 0), MOST_DECIMALS)
-    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"
-
-
-def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals, and no sign on zero."""
-    return f"{round(value, decimals) + 0.0:,.{decimals}f}".replace("-", "−")
-
-
-def counted(count: int, what: str) -> str:
-    """A number of things: `1 row`, `1,495 rows`."""
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 @contextmanager

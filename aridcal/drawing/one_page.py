@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from markupsafe import Markup
+
 from aridcal.drawing.frame import asset, filled
-from aridcal.drawing.html import Html
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties
@@ -316,7 +317,7 @@ def as_pdf(page: OnePage) -> tuple[bytes, str]:
     return content.getvalue(), lacking
 
 
-def as_html(page: OnePage) -> Html:
+def as_html(page: OnePage) -> Markup:
     """The page as HTML of its own, to be read on a screen and printed on one sheet."""
     scale = _fitted(page)[0].scale
-    return filled("one_page.html", page=page, scale=f"{scale:.3f}", style=Html(asset("one_page.css")))
+    return filled("one_page.html", page=page, scale=f"{scale:.3f}", style=Markup(asset("one_page.css")))

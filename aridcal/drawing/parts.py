@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from aridcal.drawing.html import number, plus_minus
 from aridcal.result.zeros import JointZero, zero_of
 from aridcal.robot.chain import Robot
 from aridcal.trust.halves import Halves
 from aridcal.trust.known import Combination, Pair
+from aridcal.wording import number, plus_minus
 
 ALIKE = 0.7
 """Ratio of two shares from which they are a sum or a difference in words: sin 45 degrees over 1."""

@@ -155,6 +155,11 @@ def text(x: float, y: float, said: str, anchor: str = "start", color: str = GREY
     return f'<text {place} text-anchor="{anchor}" fill="{color}">{escape(printable_lines(said), quote=False)}</text>'
 
 
+def titled(words: str, drawn: str) -> str:
+    """Elements that say what they are where a pointer rests on them."""
+    return f"<g><title>{escape(printable_lines(words))}</title>{drawn}</g>"
+
+
 def path(d: str, **look: str | float) -> str:
     """A path; ``stroke_width`` stands for ``stroke-width``, and nothing is filled unless ``fill`` says so."""
     pairs = "".join(f' {name.replace("_", "-")}="{value}"' for name, value in ({"fill": "none"} | look).items())

@@ -18,9 +18,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.frame import asset, empty_page, filled
-from aridcal.drawing.html import Html, attempt, note, noting
+from aridcal.drawing.html import attempt, note, noting
 from aridcal.drawing.shapes import packed, position_quaternion, robot_shapes, stepped, turn
 from aridcal.drawing.thinned import thinned
 from aridcal.fit.constants import stage_urdf
@@ -359,11 +360,11 @@ def _page(content: dict[str, Any], script: str) -> str:
     return filled(
         "scene.html",
         title=content["title"],
-        style=Html(asset("scene.css")),
-        data=Html(data),
-        licence=Html((bundle / "main.min.js.LICENSE.txt").read_text("utf-8")),
-        meshcat=Html((bundle / "main.min.js").read_text("utf-8")),
-        script=Html(script),
+        style=Markup(asset("scene.css")),
+        data=Markup(data),
+        licence=Markup((bundle / "main.min.js.LICENSE.txt").read_text("utf-8")),
+        meshcat=Markup((bundle / "main.min.js").read_text("utf-8")),
+        script=Markup(script),
     )
 
 

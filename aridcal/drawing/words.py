@@ -8,21 +8,19 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from aridcal.drawing.html import fixed, number, plus_minus
 from aridcal.effects.effect import ROW_ORDER, Effect
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
 from aridcal.instruments.channels import Channels
 from aridcal.result.instruments import known_scale, scale_std
-from aridcal.result.outcome import Outcome, enumerated
+from aridcal.result.outcome import Outcome
 from aridcal.robot.chain import Robot
 from aridcal.search.noise_causes import NoiseCause
 from aridcal.search.noise_shapes import Shape
 from aridcal.trust.certainty import Certainty
 from aridcal.trust.tolerance import CONFIDENCE, SHARE, Kept
-
-"""Each kind of effect in a few words; its section in docs/effects.md says more."""
+from aridcal.wording import SHOWN_UNIT, enumerated, fixed, number, plus_minus, shown_in
 
 # Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
 # one is its own.
@@ -30,9 +28,6 @@ TOGETHER = 0.8
 
 # Share of the position's variance from which readings are most of what scatters.
 MOST = 0.5
-
-# A thousandth of a reading's unit, as it is shown.
-SHOWN_UNIT = {"rad": "mrad", "m": "mm"}
 
 # Measured columns: what they are, and how to change one while all else stays the same.
 COLUMNS = {
@@ -148,11 +143,6 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     found = scale_std(outcome.stages[-1].fit, m.fitted)
     rows = "" if found is None else f" ± {number(1e3 * found, 2)} mm per m of reach;"
     return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * known, 2)} mm per m",)
-
-
-def shown_in(unit: str) -> tuple[str, float]:
-    """Unit in which a quantity in SI is shown, and what it is multiplied with."""
-    return (SHOWN_UNIT[unit], 1e3) if unit in SHOWN_UNIT else (unit, 1.0)
 
 
 def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
@@ -293,19 +283,6 @@ def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> st
         return f"Most of what scatters are the readings of the joints, {named}: {advice}"
     of = f"{100 * share[most]:.0f} % of the variance of the {channels[most].noun}"
     return f"Part of what scatters is the reading of {', '.join(readings)}: {of}."
-
-
-def range_in_words(ends: tuple[float, float] | None, kind: str) -> str:
-    """A range of a joint's readings, [rad] or [m]; None stands for no limits."""
-    if ends is None:
-        return "no limits"
-    low, high = (reading_in_words(value, kind) for value in ends)
-    return f"{low} … {high}"
-
-
-def reading_in_words(value: float, kind: str) -> str:
-    """A joint reading, [rad] or [m], with its unit; ``kind`` is that of the joint."""
-    return f"{fixed(value, 3)} m" if kind == "prismatic" else f"{fixed(math.degrees(value), 0)}°"
 
 
 def how_to_separate(a: Effect, b: Effect, robot: Robot, columns: Mapping[str, np.ndarray]) -> str:

@@ -8,10 +8,8 @@ from itertools import product
 import numpy as np
 
 from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
+from aridcal.effects.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDER, Coefficient, Effect
 from aridcal.effects.kinds import Kind, Observed, middle, slope
-
-FRAMES = ("world_base", "tip_target")
 
 STANDING = {
     "anchor": ("x", "y", "z", "offset"),

@@ -16,6 +16,9 @@ from aridcal.effects.labels import STATION
 from aridcal.effects.smooth import Nodes, Part, Shape
 from aridcal.robot.kinematics import transverse
 
+FRAMES = ("world_base", "tip_target")
+"""Where a mounting is, which every campaign has anew, and not the robot."""
+
 FRAME_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 LINK_COMPONENTS = ("d", "theta", "beta", "a", "alpha")
 ROW_ORDER = "file row"

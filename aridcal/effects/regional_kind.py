@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient, Effect
+from aridcal.effects.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
 from aridcal.effects.kinds import LEAST_KNOTS, Declaration, Kind, Observed, bumps
 from aridcal.effects.labels import STATION
 from aridcal.effects.sights import TARGET
@@ -35,8 +35,6 @@ no place between the nodes is left out, sixteen is beyond the whole field."""
 ALONE = 2.0
 """Distances between nodes from the nearest one, beyond which nothing was measured: places are half of one from it, and a field
 that is smooth over the nodes goes on a little."""
-
-FRAMES = ("world_base", "tip_target")
 
 SHIFT, TURN = ("x", "y", "z"), ("roll", "pitch", "yaw")
 

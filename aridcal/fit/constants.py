@@ -126,6 +126,12 @@ def stage_urdf(fit: Fit) -> bytes:
 
 def urdf_of(model: Model, theta: np.ndarray) -> bytes:
     """The user's URDF with a model's constants folded into the joints' own origins, zeros of joints included."""
+    urdf = model.robot.urdf
+    return splice_origins(urdf, written_origins(urdf, origins_of(model, theta)))
+
+
+def origins_of(model: Model, theta: np.ndarray) -> dict[str, pin.SE3]:
+    """The ``<origin>`` of each joint that a model's constants or a joint's zero move."""
     robot = model.robot
     origins = dict(model.origins(theta))
     for k, c in enumerate(model.coefficients):
@@ -135,7 +141,7 @@ def urdf_of(model: Model, theta: np.ndarray) -> bytes:
             turn = np.eye(3) if slides else pin.AngleAxis(float(theta[k]), joint.axis).matrix()
             shift = float(theta[k]) * joint.axis if slides else np.zeros(3)
             origins[joint.name] = origins.get(joint.name, joint.origin) * pin.SE3(turn, shift)
-    return splice_origins(robot.urdf, written_origins(robot.urdf, origins))
+    return origins
 
 
 def is_zero(c: Coefficient, robot: Robot) -> bool:

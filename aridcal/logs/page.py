@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.drawing.plot import (
     EDGE,
     GREY,
@@ -31,6 +32,7 @@ from aridcal.drawing.plot import (
 )
 from aridcal.logs.merging import Merged
 from aridcal.logs.standstills import speeds
+from aridcal.wording import number
 
 STRETCHES = 3
 """Pictures of the speeds: beginning, middle and end, for what is off at one end only is seen in no single picture."""
@@ -61,7 +63,7 @@ LISTED = 40
 """Standstills without a row that the page lists."""
 
 
-def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Html:
+def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Markup:
     """The page, self-contained.
 
     Args:
@@ -123,7 +125,7 @@ def lines(found: Merged) -> list[str]:
     return [*made, *found.tracker.words, *found.notices]
 
 
-def _stretches(found: Merged) -> list[tuple[Content, Html]]:
+def _stretches(found: Merged) -> list[tuple[Content, Markup]]:
     """Pictures of the speeds."""
     t = found.clocks.joints(found.tracker.log.time)
     first, last = max(t[0], found.joints.time[0]), min(t[-1], found.joints.time[-1])

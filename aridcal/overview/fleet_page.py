@@ -8,42 +8,28 @@ from collections.abc import Callable, Iterator, Sequence
 from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.drawing.figures import falling
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import (
-    Content,
-    Html,
-    bullets,
-    counted,
-    figures,
-    fixed,
-    number,
-    plus_minus,
-    table,
-    tag,
-)
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.drifting import Drift, drifting
 from aridcal.plant.figures_of import are_done, channels_of, error_of
 from aridcal.plant.record import Row
 from aridcal.plant.runs import Ran
-from aridcal.plant.standing_out import FALSE_ALARMS, FEWEST, StandsOut, makes, standing_out
-
-VERDICTS = {
-    "noise_floor": "noise alone remains",
-    "structure_remains": "structure remains",
-    "not_enough_data": "too few data",
-}
+from aridcal.plant.standing_out import FEWEST, StandsOut, makes, standing_out
+from aridcal.result.verdict import VERDICTS
+from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.wording import counted, fixed, number, plus_minus, shown_in
 
 MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
 
 
-def fleet_page(ran: Ran, title: str) -> Html:
+def fleet_page(ran: Ran, title: str) -> Markup:
     """The page of a fleet, self-contained but for its links to each robot's report.
 
     Args:
@@ -88,7 +74,7 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         )
     verdicts = Counter(row["verdict"] for row in done)
     if verdicts:
-        said = [f"{VERDICTS.get(word, word)} {count:,}" for word, count in verdicts.most_common()]
+        said = [f"{_verdict(word)} {count:,}" for word, count in verdicts.most_common()]
         yield tag("p", f"Verdicts: {', '.join(said)}.")
 
 
@@ -105,7 +91,7 @@ def _errors(done: Sequence[Row]) -> Iterator[Content]:
     """Errors of all robots, one picture for each channel that judges."""
     if not done:
         yield tag("p", "No robot was calibrated.")
-    pictures: list[tuple[Content, Html]] = []
+    pictures: list[tuple[Content, Markup]] = []
     for channel in _leading(done):
         own = _worst_first(done, channel)
         unit = _unit(channel)
@@ -131,7 +117,7 @@ def _every_robot(done: Sequence[Row]) -> Iterator[Content]:
             of_stages = [error_of(row, stage, channel) for stage in ("final", "nominal", "geometric")]
             further = [error_of(row, "final", channel, figure) for figure in ("p95", "max")]
             further += [error_of(row, "final", other) for other in others]
-            verdict = VERDICTS.get(row["verdict"], str(row["verdict"]))
+            verdict = _verdict(row["verdict"])
             lines.append(
                 [_link(row), *map(number, [*of_stages, *further]), f"{row['rows']:,}", row["measured"][:10], verdict]
             )
@@ -301,11 +287,16 @@ def _said(value: float, channel: str) -> str:
     return f"{number(value)} {_unit(channel)}"
 
 
-def _name(robot: str) -> Html:
+def _name(robot: str) -> Markup:
     """A robot's name on one line."""
     return tag("span", robot, style="white-space: nowrap")
 
 
-def _link(row: Row) -> Html:
+def _link(row: Row) -> Markup:
     """A robot's name, which leads to its report."""
     return tag("a", _name(row["robot"]), href=f"{quote(row['robot'])}/report.html")
+
+
+def _verdict(word: str) -> str:
+    """A verdict in a cell; one that a later version wrote as it is."""
+    return VERDICTS[word].cell if word in VERDICTS else str(word)

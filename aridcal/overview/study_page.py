@@ -6,18 +6,18 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
-from aridcal.drawing.banded import COLOURS, banded
+from aridcal.drawing.figures import COLOURS, banded
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, figures, table, tag
 from aridcal.errors import shortened
 from aridcal.overview.sections import drawn
 from aridcal.plant.curves import CONFIDENCE, Estimate, Point, found_again, points, scatters
-from aridcal.plant.record import FAILED
+from aridcal.plant.record import FAILED, Row
 from aridcal.plant.studied import Studied
-from aridcal.plant.trials import Row
+from aridcal.wording import counted, number, shown_in
 
 INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
 
@@ -25,7 +25,7 @@ MOST_ERRORS = 10
 """Different reasons of failed runs that are told."""
 
 
-def study_page(done: Studied, title: str, effect: str, halves: bool) -> Html:
+def study_page(done: Studied, title: str, effect: str, halves: bool) -> Markup:
     """The page of a study, self-contained.
 
     Args:
@@ -139,24 +139,24 @@ def _by_rows_or_sizes(
     label: str,
     of: Callable[[Point], tuple[float, float, float]],
     top: float | None,
-) -> list[tuple[Content, Html]]:
+) -> list[tuple[Content, Markup]]:
     """Curves against the number of rows, one for each size; against sizes, one for each number of rows; what is varied."""
     rows = sorted({p.rows for p in cases if p.rows is not None})
     sizes = sorted({p.size for p in cases if p.size is not None})
     at = {(p.rows, p.size): of(p) for p in cases}
     nothing = (np.nan,) * 3
-    pictures: list[tuple[Content, Html]] = []
+    pictures: list[tuple[Content, Markup]] = []
     if len(rows) > 1:
         chosen = _spread(sizes or [None])
         curves = {
             "runs" if size is None else f"size {size:g}": np.array([at.get((n, size), nothing) for n in rows])
             for size in chosen
         }
-        picture = banded(f"{label} against rows", np.array(rows), curves, ("rows", label), top)
+        picture = banded(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
         pictures.append((f"Against the number of rows; bands are {INTERVAL}s", picture))
     if len(sizes) > 1:
         curves = {f"{n:,} rows": np.array([at.get((n, size), nothing) for size in sizes]) for n in _spread(rows)}
-        picture = banded(f"{label} against the size", np.array(sizes), curves, ("size", label), top)
+        picture = banded(f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top)
         pictures.append(("Against the size of the effect, in what the scenario states", picture))
     return pictures
 

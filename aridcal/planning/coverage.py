@@ -11,7 +11,8 @@ from aridcal.effects.effect import Coefficient
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates, targets_of
 from aridcal.planning.exchange import Choice, rms_sigma, taken_away, worst_sigma
-from aridcal.planning.telling import KNOWN, LOOSE, Told
+from aridcal.planning.telling import KNOWN, Told
+from aridcal.trust.workspace import LOOSE
 
 COUNTS = 12
 """Points of the curve of sigma against the number of configurations: a smooth line, and each a small decomposition."""

@@ -25,7 +25,8 @@ from aridcal.effects.effect import Coefficient, Effect
 from aridcal.effects.kinds import Observed
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
-from aridcal.planning.telling import LOOSE, Told, so_far, together, whitened
+from aridcal.planning.telling import Told, so_far, together, whitened
+from aridcal.trust.workspace import LOOSE
 
 SAFE = 8.0
 """Non-centrality over this in the exponent: Bhattacharyya's bound of the chance to be wrong."""

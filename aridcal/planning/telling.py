@@ -14,11 +14,7 @@ from aridcal.instruments.channels import spread
 from aridcal.model.measured import rows_of_data
 from aridcal.planning.beforehand import Beforehand
 from aridcal.planning.candidates import Candidates
-from aridcal.trust.workspace import shifted
-
-LOOSE = 0.1
-"""[m] and [rad]: how well everything is known before it is measured. No robot is wrong by more, and what is measured is known a
-thousand times better; without it a few rows could not be compared at all."""
+from aridcal.trust.workspace import LOOSE, shifted
 
 KNOWN = 0.1
 """Share of :data:`LOOSE` beyond which a sigma is that of what is assumed, not measured."""

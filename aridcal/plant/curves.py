@@ -10,9 +10,8 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import binom
 
-from aridcal.plant.figures_of import FRAMES
-from aridcal.plant.record import DONE
-from aridcal.plant.trials import Row
+from aridcal.effects.effect import FRAMES
+from aridcal.plant.record import DONE, Row
 
 CONFIDENCE = 0.95
 """Of all intervals of a study."""

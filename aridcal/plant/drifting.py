@@ -19,7 +19,7 @@ from scipy.special import stdtr
 
 from aridcal.plant.figures_of import are_done, channels_of, identified
 from aridcal.plant.record import Row, typed
-from aridcal.plant.standing_out import FALSE_ALARMS
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 THREE_NUMBERS = ("position_", "rotation_")
 """How channels begin whose rows have three numbers."""

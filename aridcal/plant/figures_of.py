@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+from aridcal.effects.effect import FRAMES
 from aridcal.plant.record import DONE, Row
 
 STAGES = ("nominal", "geometric", "final")
-
-FRAMES = ("world_base", "tip_target")
-"""Where constants are those of a mounting, which every campaign has anew, and not of the robot."""
 
 
 def error_of(row: Row, stage: str, channel: str, figure: str = "rms") -> float:

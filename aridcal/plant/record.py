@@ -27,7 +27,7 @@ FILE = "fleet.json"
 """A robot's row in its result folder."""
 
 Row = dict[str, Any]
-"""By the columns of :data:`SCHEMA`; times as text, ISO 8601 in UTC."""
+"""A run by the columns of its table, :data:`SCHEMA` or that of a study; times as text, ISO 8601 in UTC."""
 
 _STAGE = pa.struct(
     [("stage", pa.string()), ("channel", pa.string()), ("rows", pa.int64())]

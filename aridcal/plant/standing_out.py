@@ -21,9 +21,7 @@ import numpy as np
 
 from aridcal.plant.figures_of import STAGES, are_done, channels_of, error_of, identified
 from aridcal.plant.record import Row
-
-FALSE_ALARMS = 0.01
-"""Chance that of a whole fleet, alike but for normal scatter, any robot is said to stand out."""
+from aridcal.upkeep.bounds import FALSE_ALARMS
 
 FEWEST = 8
 """Robots of one make below which none is set beside the others: of 7 the threshold for one number is beyond 15 s."""

@@ -12,9 +12,9 @@ import pyarrow.parquet
 
 from aridcal.errors import OutputError
 from aridcal.plant.here import Broken, Engine, EngineGone
-from aridcal.plant.record import DONE, FAILED
+from aridcal.plant.record import DONE, FAILED, Row
 from aridcal.plant.runs import SAVE_EVERY
-from aridcal.plant.trials import Row, Trial, tried
+from aridcal.plant.trials import Trial, tried
 from aridcal.showing import Progress
 from aridcal.writing.files import atomic_file
 

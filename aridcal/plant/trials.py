@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from aridcal.inputs.purposes import StudySettings
 from aridcal.inputs.quantities import POSITION, column_of
 from aridcal.inputs.yaml_file import load_settings
 from aridcal.plant.keys import inputs_of, of_version
-from aridcal.plant.record import DONE, FAILED
+from aridcal.plant.record import DONE, FAILED, Row
 from aridcal.prepare.scenario import Scenario, TrueNoise, Truth
 from aridcal.prepare.simulation import Simulation, simulate
 from aridcal.prepare.true_effects import TrueEffect
@@ -30,9 +29,6 @@ from aridcal.result.key_figures import scored
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.pipeline import identify
 from aridcal.showing import one_thread
-
-Row = dict[str, Any]
-"""Of ``study.parquet``."""
 
 NONE = 1e-9
 """Times what a scenario states of an effect: none of it, but still drawn, so that nothing else is drawn otherwise."""

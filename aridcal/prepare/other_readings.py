@@ -33,7 +33,7 @@ from aridcal.robot.chain import Robot
 if TYPE_CHECKING:
     import pandas as pd
 
-# Rows on which readings are tried.
+# Rows on which readings are tried, and that judge a proposal; more make no clearer verdict.
 SAMPLE = 150
 # What frames and constants, or frames alone, leave of most robots: a share of the targets' spread, and rad, per axis.
 # More costs a second to look for other readings; it is no reason to refuse.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,9 +18,11 @@ from aridcal.prepare.true_things import (
     RANGE_OF_TIP,
     RANGE_OF_WORLD,
     Real,
+    RealCamera,
     TrueCamera,
     TrueThings,
-    camera_state,
+    real_camera,
+    state_of_place,
 )
 
 FEWEST = 4
@@ -101,6 +103,71 @@ class Sight:
         return [self.real[role].states[k] for role, k in numbers.items()]
 
 
+@dataclass(frozen=True)
+class _Board:
+    """Markers on one carrier: those of a board, or some that lie about.
+
+    Attributes:
+        carrier: What they are on.
+        labels: Of the markers.
+        xyz: In the board's frame, shape (M, 3), [m].
+        printed: Whether they are a board's, seen from the front alone.
+        place: Of the board in its carrier's frame, shape (4, 4), [m]; None: to be found.
+    """
+
+    carrier: Carrier
+    labels: tuple[str, ...]
+    xyz: np.ndarray
+    printed: bool
+    place: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Setup:
+    """Cameras and boards while their places are being found.
+
+    Attributes:
+        cameras: By name.
+        boards: What they look at.
+        looked_at: Numbers of the boards that each camera looks at.
+        size: Of each camera's images, shape (C, 2), [px].
+    """
+
+    cameras: dict[str, RealCamera]
+    boards: tuple[_Board, ...]
+    looked_at: tuple[tuple[int, ...], ...]
+    size: np.ndarray
+
+    def with_camera(self, name: str, place: np.ndarray) -> _Setup:
+        """The setup with a camera somewhere."""
+        return replace(self, cameras=self.cameras | {name: replace(self.cameras[name], place=place)})
+
+    def with_board(self, number: int, place: np.ndarray) -> _Setup:
+        """The setup with a board somewhere."""
+        boards = [replace(b, place=place) if k == number else b for k, b in enumerate(self.boards)]
+        return replace(self, boards=tuple(boards))
+
+    def sight(self, elsewhere: np.ndarray) -> Sight:
+        """What is seen in this setup, boards without a place being ``elsewhere``.
+
+        Markers that lie about have no board of their own: theirs is their carrier's frame.
+        """
+        boards, markers, numbers, first = [], [], [], 0
+        for board in self.boards:
+            T = elsewhere if board.place is None else board.place
+            boards.append(state_of_place(T if board.printed else np.eye(4)))
+            markers.append(board.xyz if board.printed else board.xyz @ T[:3, :3].T + T[:3, 3])
+            numbers.append(first + np.arange(len(board.labels)))
+            first += len(board.labels)
+        real = {
+            "camera": Real(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
+            "board": Real(tuple(BOARD + board.carrier for board in self.boards), np.array(boards)),
+            "marker": Real(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
+        }
+        printed = tuple(board.printed for board in self.boards)
+        return Sight(real, self.looked_at, tuple(numbers), printed, self.size)
+
+
 def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
     """Cameras and markers as they are; see :mod:`aridcal.prepare.true_things`.
 
@@ -117,98 +184,88 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
         CampaignError: the markers are given, but not of which of two boards.
     """
     settings = known.settings
-    cameras = tuple(settings.cameras)
-    looked_at = {name: settings.looked_at(name) for name in cameras}
-    sides: list[Carrier] = list(dict.fromkeys(side for name in cameras for side in looked_at[name]))
-    if len(sides) > 1 and isinstance(things.markers, dict):
+    looked_at = {name: settings.looked_at(name) for name in settings.cameras}
+    carriers: list[Carrier] = list(dict.fromkeys(carrier for each in looked_at.values() for carrier in each))
+    if len(carriers) > 1 and isinstance(things.markers, dict):
         raise CampaignError(
             f"{known.origin}: truth.instruments.markers: there are cameras on the tip and beside the arm; write a number, "
             "and each sees so many of its own"
         )
-    states, given = zip(*[camera_state(known, n, things.cameras.get(n, TrueCamera())) for n in cameras], strict=True)
-    cams = np.array(states)
-    names: list[str] = []
-    local: list[np.ndarray] = []
-    own: list[np.ndarray] = []
-    places: list[np.ndarray | None] = []
-    printed = []
-    for side in sides:
-        stated_board = known.boards.get(BOARD + side)
-        board = stated_board is not None
-        if board:
-            labels = tuple(label for label, place in known.markers.items() if place.on == side)
-            xyz = np.array([known.markers[label].xyz for label in labels])
-            std = np.array([known.markers[label].std for label in labels])
-            xyz = xyz + np.where(np.isfinite(std), std, 0.0)[:, None] * rng.standard_normal(xyz.shape)
-            stated = things.board or (stated_board if stated_board is not None and stated_board.given else None)
-            place = None if stated is None else stated.homogeneous
-        elif isinstance(things.markers, dict):
-            labels, place = tuple(things.markers), np.eye(4)
-            xyz = np.array([things.markers[label] for label in labels])
-        else:
-            word = "marker" if len(sides) == 1 else f"{side}_marker"
-            labels = tuple(f"{word}_{k + 1}" for k in range(things.markers))
-            box = AROUND if side == WORLD else AROUND / 3
-            xyz, place = rng.uniform(-0.5, 0.5, (len(labels), 3)) * box, None
-        if side != WORLD and place is None:
-            place = np.eye(4)
-        own.append(len(names) + np.arange(len(labels)))
-        names += labels
-        local.append(xyz)
-        places.append(place)
-        printed.append(board)
-    numbers = tuple(tuple(map(sides.index, looked_at[name])) for name in cameras)
-    size = np.array([[settings.cameras[n].width, settings.cameras[n].height] for n in cameras], dtype=float)
+    setup = _Setup(
+        {name: real_camera(known, name, things.cameras.get(name, TrueCamera())) for name in settings.cameras},
+        tuple(_board(carrier, len(carriers) == 1, things, known, rng) for carrier in carriers),
+        tuple(tuple(map(carriers.index, each)) for each in looked_at.values()),
+        np.array([[camera.width, camera.height] for camera in settings.cameras.values()], dtype=float),
+    )
+    for number in range(len(setup.cameras)):
+        setup = _with_places(setup, number, tips, draw)
+    return setup.sight(np.eye(4))
 
-    def made(cams: np.ndarray, placed: list[np.ndarray]) -> Sight:
-        boards, markers = [], []
-        for T, xyz, is_printed in zip(placed, local, printed, strict=True):
-            boards.append(T if is_printed else np.eye(4))
-            markers.append(xyz if is_printed else xyz @ T[:3, :3].T + T[:3, 3])
-        rows = np.array([[*T[:3, 3], *T[:3, :3].reshape(-1)] for T in boards])
-        real = {
-            "camera": Real(cameras, cams),
-            "board": Real(tuple(BOARD + side for side in sides), rows),
-            "marker": Real(tuple(names), np.concatenate(markers)),
-        }
-        return Sight(real, numbers, tuple(own), tuple(printed), size)
 
-    for c, is_given in enumerate(given):
-        on_tip = cams[c, 21] > 0.5
-        b = next((k for k in numbers[c] if places[k] is None), numbers[c][0])
-        if (on_tip and places[b] is not None) or (not on_tip and is_given):
-            continue
-        R, p = tips(draw(PLACES), cameras[c], BOARD + sides[b])
-        T = np.tile(np.eye(4), (PLACES, 1, 1))
-        T[:, :3, :3], T[:, :3, 3] = R, p
-        before, camera = np.eye(4), np.eye(4)
-        before[:3, :3], before[2, 3] = FACING, RANGE_OF_TIP if on_tip else RANGE_OF_WORLD
-        camera[:3, 3], camera[:3, :3] = cams[c, :3], cams[c, 3:12].reshape(3, 3)
-        middle = np.eye(4)
-        middle[:3, 3] = local[b].mean(axis=0)
-        there = places[b]
-        if on_tip:
-            tried = T @ camera @ np.linalg.inv(middle @ before)
-        else:
-            assert there is not None
-            tried = T @ there @ middle @ before
-        looks = tips(draw(TRIED), cameras[c], BOARD + sides[b])
-        best, most = tried[0], -1
-        for trial in tried:
-            if on_tip:
-                placed, now = [trial if k == b or at is None else at for k, at in enumerate(places)], cams
-            else:
-                placed = [np.eye(4) if at is None else at for at in places]
-                now = cams.copy()
-                now[c, :12] = [*trial[:3, 3], *trial[:3, :3].reshape(-1)]
-            count = int(made(now, placed).seen(c, b, *looks).sum())
-            if count > most:
-                best, most = trial, count
-        if on_tip:
-            places[b] = best
-        else:
-            cams[c, :12] = [*best[:3, 3], *best[:3, :3].reshape(-1)]
-    return made(cams, [np.eye(4) if at is None else at for at in places])
+def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng: np.random.Generator) -> _Board:
+    """The markers on a carrier; those of the world have no place yet where nobody says it.
+
+    Args:
+        carrier: What they are on.
+        alone: Whether all markers are on it.
+        things: What the scenario says.
+        known: What the campaign knows.
+        rng: Draws markers, and how a printed board's are off.
+    """
+    place: np.ndarray | None = None
+    board = known.boards.get(BOARD + carrier)
+    if board is not None:
+        markers = {label: marker for label, marker in known.markers.items() if marker.on == carrier}
+        labels = tuple(markers)
+        std = np.array([marker.std for marker in markers.values()])
+        xyz = np.array([marker.xyz for marker in markers.values()])
+        xyz = xyz + np.where(np.isfinite(std), std, 0.0)[:, None] * rng.standard_normal(xyz.shape)
+        stated = things.board or (board if board.given else None)
+        place = None if stated is None else stated.homogeneous
+    elif isinstance(things.markers, dict):
+        labels, xyz, place = tuple(things.markers), np.array([*things.markers.values()]), np.eye(4)
+    else:
+        word = "marker" if alone else f"{carrier}_marker"
+        labels = tuple(f"{word}_{k + 1}" for k in range(things.markers))
+        xyz = rng.uniform(-0.5, 0.5, (len(labels), 3)) * (AROUND if carrier == WORLD else AROUND / 3)
+    if carrier != WORLD and place is None:
+        place = np.eye(4)
+    return _Board(carrier, labels, xyz, board is not None, place)
+
+
+def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
+    """The setup with what a camera lacks, where it sees most: its board, of one on the tip, or its own place beside the arm."""
+    name, camera = list(setup.cameras.items())[number]
+    looked_at = setup.looked_at[number]
+    b = next((k for k in looked_at if setup.boards[k].place is None), looked_at[0])
+    board = setup.boards[b]
+    if board.place is not None if camera.on_tip else camera.given:
+        return setup
+    board_name = BOARD + board.carrier
+    carried = np.tile(
+        np.eye(4), (PLACES, 1, 1)
+    )  # places of the camera's carrier in the board's, or the other way round
+    carried[:, :3, :3], carried[:, :3, 3] = tips(draw(PLACES), name, board_name)
+    before = _looking_at(board.xyz.mean(axis=0), RANGE_OF_TIP if camera.on_tip else RANGE_OF_WORLD)
+    looks = tips(draw(TRIED), name, board_name)
+
+    def seen(tried: _Setup, elsewhere: np.ndarray) -> int:
+        return int(tried.sight(elsewhere).seen(number, b, *looks).sum())
+
+    if camera.on_tip:
+        places = carried @ camera.place @ np.linalg.inv(before)
+        return setup.with_board(b, max(places, key=lambda place: seen(setup.with_board(b, place), place)))
+    assert board.place is not None
+    places = carried @ board.place @ before
+    return setup.with_camera(name, max(places, key=lambda place: seen(setup.with_camera(name, place), np.eye(4))))
+
+
+def _looking_at(middle: np.ndarray, distance: float) -> np.ndarray:
+    """Pose in a board's frame of a camera that looks straight at a place of it from so far, shape (4, 4), [m]."""
+    before = np.eye(4)
+    before[:3, :3] = FACING
+    before[:3, 3] = middle + [0.0, 0.0, distance]
+    return before
 
 
 def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:

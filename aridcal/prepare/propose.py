@@ -28,14 +28,13 @@ from aridcal.prepare.guesses import Asker, Proposal, ask
 from aridcal.prepare.limbs import limbs_of
 from aridcal.prepare.orientation_columns import CLEAR, MOST_ANSWERS, say_orientation, sensible
 from aridcal.prepare.other_kinds import other_kind, say_other_kind
+from aridcal.prepare.other_readings import SAMPLE
 from aridcal.prepare.units_and_angles import Reading, Sample, one_slip_away, readings, rounded
 from aridcal.robot.chain import Robot, chain, with_limbs
 from aridcal.robot.tree import read_tree
 
 # Share of rows in which a quaternion's norm is 1.
 UNIT_ROWS = 0.8
-# Rows that judge; more make no clearer verdict.
-SAMPLE = 150
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
 FEWEST = 4
 # No nominal robot misses the targets by so much of their spread.

@@ -218,17 +218,45 @@ def true_grasps(name: str, count: int, held: Callable[[int], tuple[np.ndarray, n
     return Real(tuple(f"{name}_{k + 1}" for k in range(count)), np.hstack([p, R.reshape(-1, 9)]))
 
 
-def camera_state(known: Known, name: str, true: TrueCamera) -> tuple[list[float], bool]:
-    """State of a camera, shape (22,), and whether its place is given; where it is not, that of its link or the world."""
+@dataclass(frozen=True)
+class RealCamera:
+    """A camera as it is.
+
+    Attributes:
+        place: In the frame of what carries it, the tip's link or the world, shape (4, 4), [m].
+        lens: Its intrinsics and distortion, shape (9,), [px] and [1].
+        on_tip: Whether the arm carries it.
+        given: Whether anybody says where it is; if not, ``place`` is the origin.
+    """
+
+    place: np.ndarray
+    lens: np.ndarray
+    on_tip: bool
+    given: bool
+
+    @property
+    def state(self) -> np.ndarray:
+        """Its state, as instruments have it, shape (22,)."""
+        return np.r_[state_of_place(self.place), self.lens, float(self.on_tip)]
+
+
+def state_of_place(place: np.ndarray) -> np.ndarray:
+    """A place, shape (4, 4), as a state: shape (12,)."""
+    return np.r_[place[:3, 3], place[:3, :3].ravel()]
+
+
+def real_camera(known: Known, name: str, true: TrueCamera) -> RealCamera:
+    """A camera as the scenario says, and where it does not, as the campaign states it."""
     stated = known.settings.cameras[name]
-    given = true.given or stated.given
     lens = stated.intrinsics
     for k, value in enumerate((true.fx, true.fy, true.cx, true.cy)):
         lens[k] = lens[k] if value is None else value
     if true.distortion is not None:
         lens[4:] = true.distortion
-    place = (true if true.given else stated).place(known=True)
-    return [*place, *lens.tolist(), float(stated.on != WORLD)], given
+    numbers = np.array((true if true.given else stated).place(known=True))
+    place = np.eye(4)
+    place[:3, 3], place[:3, :3] = numbers[:3], numbers[3:].reshape(3, 3)
+    return RealCamera(place, lens, stated.on != WORLD, true.given or stated.given)
 
 
 def documents(real: Mapping[str, Real]) -> dict[str, Any]:

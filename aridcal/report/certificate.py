@@ -12,29 +12,22 @@ from pathlib import Path
 import numpy as np
 
 from aridcal import __version__
-from aridcal.drawing.html import attempt, counted, note, noting, number
+from aridcal.drawing.html import attempt, note, noting
 from aridcal.drawing.one_page import OnePage, Part, as_html, as_pdf
-from aridcal.drawing.words import (
-    LONGEST_NAME,
-    NOT_STATED,
-    named,
-    noise_unknown_in_words,
-    range_in_words,
-    scale_in_words,
-    who_and_what,
-)
+from aridcal.drawing.words import LONGEST_NAME, NOT_STATED, named, noise_unknown_in_words, scale_in_words, who_and_what
 from aridcal.errors import printable, shortened
 from aridcal.inputs.dataset import Dataset
 from aridcal.inputs.purposes import About
 from aridcal.instruments.catalogue import KINDS
-from aridcal.report.first_screen import VERDICTS
 from aridcal.report.iso_section import lines, what_was_made
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import another_day, constants, every_held_out_row, scored, sigma_and_error
 from aridcal.result.outcome import Outcome, errors
 from aridcal.result.saving import ends, holes, seen_in
+from aridcal.result.verdict import VERDICTS
 from aridcal.trust.iso9283 import STANDARD
 from aridcal.trust.tolerance import CONFIDENCE, SHARE
+from aridcal.wording import counted, number, range_in_words
 
 FILES = ("certificate.html", "certificate.pdf")
 
@@ -118,7 +111,7 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
         issued: Date of issue.
     """
     unknown = outcome.verdict.noise_unknown
-    verdict = noise_unknown_in_words(outcome) if unknown else VERDICTS[outcome.verdict.word].partition(".")[0]
+    verdict = noise_unknown_in_words(outcome) if unknown else VERDICTS[outcome.verdict.word].sentences.partition(".")[0]
     judged, known = _judged(outcome), _known(outcome)
     reference = f"No. {about.certificate_number}. " if about.certificate_number else ""
     return OnePage(

@@ -6,15 +6,17 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.figures import coverage, histogram
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
+from aridcal.drawing.html import Content, bullets, figures, table, tag
+from aridcal.drawing.words import per_number, sigmas_in_words
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import KINDS, labelled
 from aridcal.result.instruments import known_scale
 from aridcal.result.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.result.outcome import Outcome, statistics
+from aridcal.wording import counted, number, range_in_words
 
 # Lines of a list of rows.
 MOST = 25
@@ -46,7 +48,7 @@ def data(outcome: Outcome) -> Iterator[Content]:
         yield bullets(outcome.notices, MOST, "more; result.json lists them all")
 
 
-def _row_counts(outcome: Outcome) -> Html:
+def _row_counts(outcome: Outcome) -> Markup:
     """How many rows there are, and what became of them."""
     m, parts = outcome.measurements, outcome.parts()
     refused = len(m.origin.refused)
@@ -64,7 +66,7 @@ def _row_counts(outcome: Outcome) -> Html:
     return table(["rows", "number"], lines, f"Rows of {files}")
 
 
-def _blocks(outcome: Outcome) -> Html:
+def _blocks(outcome: Outcome) -> Markup:
     """The rows of each instrument, and the noise that it has."""
     m, parts = outcome.measurements, outcome.parts()
     lines = []
@@ -124,7 +126,7 @@ def _outliers(outcome: Outcome) -> list[Content]:
     return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]
 
 
-def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], caption: str) -> Html:
+def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], caption: str) -> Markup:
     """Some rows with the error that the final model leaves.
 
     Args:
@@ -183,12 +185,12 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     )
 
 
-def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Html:
+def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Markup:
     """Readings between their limits, and the uncertainty of the target [mm] where anything measured its place."""
     limits = [range_in_words(j.limits, j.kind) for j in joints]
     names, shares = [j.name for j in joints], [j.share for j in joints]
     where = coverage("coverage", "Histogram of each joint's readings between its limits", names, shares, limits)
-    drawn: list[tuple[Content, Html]] = [("Readings of each joint between its limits", where)]
+    drawn: list[tuple[Content, Markup]] = [("Readings of each joint between its limits", where)]
     if sigma:
         label = "1σ of the target, worst direction [mm]"
         known = histogram("precision", f"Histogram of the {label}", sigma, label)
@@ -196,7 +198,7 @@ def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Html:
     return figures(drawn)
 
 
-def _joint_table(joints: list[JointRange]) -> Html:
+def _joint_table(joints: list[JointRange]) -> Markup:
     """Limits and measured range of every joint."""
     lines: list[list[Content]] = []
     for j in joints:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from markupsafe import Markup
+
 from aridcal.drawing.figures import Trend, correlogram, of_cloud, panels
-from aridcal.drawing.html import Content, Html, figures, number, table, tag
-from aridcal.drawing.words import shown_in
+from aridcal.drawing.html import Content, figures, table, tag
 from aridcal.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.result.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.result.outcome import Outcome
@@ -14,6 +15,7 @@ from aridcal.search.noise_tests import SURE
 from aridcal.search.residual_trends import Course, Order, Trace
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.gains import Diagnosis
+from aridcal.wording import number, shown_in
 
 MOST_TRACES = 12
 
@@ -85,7 +87,7 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
         "rows, ± 2σ of noise; the line is a smooth curve through them. Rows at which the joint hardly moves the target are "
         "left out.",
     )
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(found, "pictures of joints")):
         caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
@@ -122,7 +124,7 @@ def _models(outcome: Outcome, trace: Trace) -> dict[str, Course]:
     return {WITHOUT: trace.before, WITH: trace.after} if outcome.effects else {WITH: trace.after}
 
 
-def _picture(outcome: Outcome, key: str, trace: Trace) -> Html:
+def _picture(outcome: Outcome, key: str, trace: Trace) -> Markup:
     """The rows' motions over a covariate, with their means and smooth curves."""
     unit, scale = axis_unit(outcome, trace.covariate)
     centre, at = scale * trace.centre, scale * trace.at
@@ -164,7 +166,7 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
         for trace in found
         if (trace.motion, trace.covariate) not in own and (significant(trace, asked) or trace.covariate in columns)
     ]
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
         caption = [*names, f": {_in_words(outcome, trace, asked)}", of_cloud(len(trace.seen))]
@@ -172,7 +174,7 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     yield figures(drawn)
 
 
-def _trace_table(outcome: Outcome, found: list[Trace]) -> Html:
+def _trace_table(outcome: Outcome, found: list[Trace]) -> Markup:
     """Size and p-value of some dependences."""
     asked = outcome.traces.asked
     lines: list[list[Content]] = []

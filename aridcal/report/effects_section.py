@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.figures import curve, of_cloud
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, plus_minus, table, tag
-from aridcal.drawing.words import how_to_separate, shown_in
+from aridcal.drawing.html import Content, bullets, figures, table, tag
+from aridcal.drawing.words import how_to_separate
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, Coefficient, Effect
@@ -18,6 +19,7 @@ from aridcal.effects.regional_kind import is_field, is_of_labels, labels_of
 from aridcal.result.folder import what_moved
 from aridcal.result.outcome import Outcome, errors
 from aridcal.trust.gains import Curve, Diagnosis, NamedEffect
+from aridcal.wording import counted, number, plus_minus, shown_in
 
 MOST_REJECTED = 15
 MOST_BARRED = 25
@@ -48,7 +50,7 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
     yield from _confounded(outcome)
 
 
-def _gains(outcome: Outcome) -> Html:
+def _gains(outcome: Outcome) -> Markup:
     """Errors on held-out rows without each effect and with it."""
     head = ["effect", "moves", "depends on", "source", "p-value"]
     for channel in outcome.channels:
@@ -79,7 +81,7 @@ def p_in_words(p: float) -> str:
     return "below 1e−100" if p < TINY else number(p, 2)
 
 
-def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Html]:
+def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Markup]:
     """Caption and picture of one motion of an effect over one covariate."""
     unit, scale = axis_unit(outcome, found.covariate)
     moved, size = shown_in(found.unit)

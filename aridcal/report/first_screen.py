@@ -6,9 +6,10 @@ import math
 from collections.abc import Collection, Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.frame import card
-from aridcal.drawing.html import Content, Html, codes, counted, number, tag
+from aridcal.drawing.html import Content, codes, tag
 from aridcal.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.drawing.words import (
     NOT_FOR_A_CONTROLLER,
@@ -49,8 +50,10 @@ from aridcal.result.key_figures import (
     steps,
 )
 from aridcal.result.outcome import Outcome, errors, leading
+from aridcal.result.verdict import VERDICTS
 from aridcal.result.zeros import joint_zeros
 from aridcal.search.noise_tests import Clue
+from aridcal.wording import counted, number
 
 NO_BETTER = " No model can reliably do better."
 BELOW = (
@@ -83,13 +86,6 @@ MOST_NAMES = 3
 FAINT = 1e-3
 
 SPELLED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
-
-VERDICTS = {
-    "noise_floor": "The remaining error is consistent with the measurement noise. Nothing repeatable is left to model.",
-    "structure_remains": "A repeatable error remains that the model does not describe. Section 5 shows what drives it.",
-    "not_enough_data": "There are too few data for a model of this size. Measure more rows, spread over more of each "
-    "joint's range, or identify fewer parameters.",
-}
 
 
 def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator[Content]:
@@ -143,7 +139,7 @@ def _who_and_what(outcome: Outcome) -> Iterator[Content]:
         yield f" in the campaign: {', '.join(rest)}."
 
 
-def _card(outcome: Outcome, k: int) -> Html:
+def _card(outcome: Outcome, k: int) -> Markup:
     """Before and after of one channel in large figures, then one bar for each model."""
     mask, rows = scored(outcome)
     mask = mask & outcome.measurements.measures[:, k]
@@ -204,7 +200,7 @@ def _other_day(outcome: Outcome) -> Content:
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
-def _bars(scores: list[tuple[Step, float]], unit: str) -> Html:
+def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
     """One bar for each model; of many the ones before the last are taken together."""
     bars = [(_name(step), value) for step, value in scores]
     if len(bars) > MOST_BARS:
@@ -296,7 +292,7 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
         sentence = noise_unknown_in_words(outcome)
         yield f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
     else:
-        yield VERDICTS[said.word]
+        yield VERDICTS[said.word].sentences
     if said.reasons and not said.noise_unknown:
         yield f" Signs of it: {'; '.join(said.reasons)}."
     if said.share > 0:
@@ -397,7 +393,7 @@ def _clues(outcome: Outcome) -> tuple[Clue, ...]:
     return () if outcome.diagnosis is None else outcome.diagnosis.clues
 
 
-def _check(good: bool, text: str) -> Html:
+def _check(good: bool, text: str) -> Markup:
     """A line with a tick, or with a mark that it needs a look."""
     mark = tag("b", "✓" if good else "!", title="passed" if good else "check this")
     return tag("li", mark, text, class_="good" if good else "look")

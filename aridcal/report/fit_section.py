@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import histogram, of_cloud, panels
-from aridcal.drawing.html import Content, Html, counted, figures, number, table, tag
-from aridcal.drawing.words import reading_in_words
+from aridcal.drawing.html import Content, figures, table, tag
 from aridcal.instruments.channels import Channels, spread
 from aridcal.report.data_section import row_table
 from aridcal.report.second_look_section import halves, left_out
 from aridcal.result.key_figures import axis_rms, row_errors, scored, steps, worst_rows
 from aridcal.result.outcome import STATISTICS, Outcome, errors
 from aridcal.robot.kinematics import start_frames
+from aridcal.wording import counted, number, reading_in_words
 
 PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
@@ -76,7 +77,7 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
     yield _error_words(outcome)
 
 
-def _error_words(outcome: Outcome) -> Html:
+def _error_words(outcome: Outcome) -> Markup:
     """What the lines of the error tables are."""
     effects = bool(outcome.effects)
     kinds = dict.fromkeys(block.kind for block in outcome.measurements.blocks)
@@ -92,9 +93,9 @@ def _error_words(outcome: Outcome) -> Html:
     )  # fmt: skip
 
 
-def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Html:
+def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Markup:
     """Distribution of the errors before and after, from residuals (n, m)."""
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     for k, channel in enumerate(channels):
         values = {name: _told(row_errors(residual, channels)[k]) for name, residual in compared.items()}
         if not all(len(v) for v in values.values()):
@@ -121,7 +122,7 @@ def _axes(channels: Channels) -> list[str]:
     ]
 
 
-def _axis_table(outcome: Outcome) -> Html:
+def _axis_table(outcome: Outcome) -> Markup:
     """RMS of every step in each axis of the world."""
     mask, words = scored(outcome)
     path = steps(outcome)
@@ -132,9 +133,9 @@ def _axis_table(outcome: Outcome) -> Html:
     return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
 
-def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: str) -> Html:
+def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: str) -> Markup:
     """Residuals (n, m) row by row, before and after."""
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     before, _ = compared.values()
     there = ~np.isnan(np.stack(list(compared.values()))).any(axis=0)
     order = np.arange(1.0, len(before) + 1)
@@ -152,7 +153,7 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
     return figures(drawn)
 
 
-def _workspace(outcome: Outcome) -> Html:
+def _workspace(outcome: Outcome) -> Markup:
     """Errors at the target over the three planes of the world."""
     sound = ~outcome.outlier
     if outcome.measurements.direct:
@@ -165,7 +166,7 @@ def _workspace(outcome: Outcome) -> Html:
     if not len(error):
         return tag("p", "None of these rows tells where the target is.")
     what = "Position error" if outcome.measurements.direct else "Error at the target"
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     colors = color_steps(error)
     for a, b in ((0, 1), (0, 2), (1, 2)):
         first, second = "xyz"[a], "xyz"[b]

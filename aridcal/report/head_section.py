@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pinocchio as pin
+from markupsafe import Markup
 
-from aridcal.drawing.html import Content, Html, counted, fixed, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, table, tag
 from aridcal.report.identified_section import length_or_angle
 from aridcal.result.closed_form import ClosedForm
 from aridcal.result.key_figures import scored
 from aridcal.result.measuring_head import HeadNumber, MeasuringHead
 from aridcal.result.outcome import Outcome, errors
+from aridcal.wording import counted, fixed, number, plus_minus
 
 # Link parameters of the closed form: symbol, column of a row (d, θ, β, a, α), and whether it is an angle.
 LINKS = (("θ", 1, True), ("β", 2, True), ("a", 3, False), ("α", 4, True))
@@ -32,7 +34,7 @@ def measuring_head(outcome: Outcome) -> Iterator[Content]:
         yield from _closed_form(outcome, head.closed_form)
 
 
-def _misfit(head: MeasuringHead) -> Html:
+def _misfit(head: MeasuringHead) -> Markup:
     """How well image points and ranges of single shots agree."""
     seen = head.fiducials["shot"]
     shots = len(set(seen.tolist()))
@@ -46,7 +48,7 @@ def _misfit(head: MeasuringHead) -> Html:
     )
 
 
-def _parameters(head: MeasuringHead) -> Html:
+def _parameters(head: MeasuringHead) -> Markup:
     """Parameters of the head that differ from the declared ones."""
     moved = [n for n in head.numbers if n.status != "fixed"]
     if not moved:
@@ -65,7 +67,7 @@ def _line(n: HeadNumber) -> list[Content]:
     return [tag("code", n.name), declared, f"{plus_minus(scale * n.value, scale * n.std)}{unit}"]
 
 
-def _sonars(head: MeasuringHead) -> Html:
+def _sonars(head: MeasuringHead) -> Markup:
     """Residuals of the ranges."""
     lines = []
     for k, (declared, identified) in enumerate(head.ranges.T, start=1):
@@ -74,7 +76,7 @@ def _sonars(head: MeasuringHead) -> Html:
     return table(["sonar", "head as declared", "head as identified"], lines, caption)
 
 
-def _mount(outcome: Outcome, head: MeasuringHead) -> Html:
+def _mount(outcome: Outcome, head: MeasuringHead) -> Markup:
     """How far the camera sits from where head.yaml has it, in its own axes."""
     fit = outcome.stage("final").fit
     declared, identified = (pin.SE3(T) for T in head.mount)
@@ -115,7 +117,7 @@ def _closed_form(outcome: Outcome, found: ClosedForm) -> Iterator[Content]:
     yield table(["solution", *(channel.title for channel in outcome.channels)], lines, f"RMS on {words}")
 
 
-def _link_table(found: ClosedForm) -> Html:
+def _link_table(found: ClosedForm) -> Markup:
     """Every link parameter: nominal, by the closed form, by the full solution."""
     lines: list[list[Content]] = []
     for i in range(len(found.links)):

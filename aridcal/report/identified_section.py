@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from aridcal.drawing.html import Content, Html, codes, counted, fixed, number, plus_minus, table, tag
+from markupsafe import Markup
+
+from aridcal.drawing.html import Content, codes, table, tag
 from aridcal.drawing.parts import zero_in_words
 from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS
 from aridcal.fit.constants import has_world
@@ -16,6 +18,7 @@ from aridcal.result.key_figures import constants, solved_stages
 from aridcal.result.outcome import Outcome
 from aridcal.result.zeros import joint_zeros
 from aridcal.robot.doty import Link, doty_links
+from aridcal.wording import counted, fixed, number, plus_minus
 
 SYMBOLS = {"d": "d", "theta": "θ", "beta": "β", "a": "a", "alpha": "α"}
 ZERO = "axis"
@@ -49,7 +52,7 @@ def _redundant(redundant: dict[str, tuple[str, ...]]) -> Iterator[Content]:
     yield table(["keeps its nominal value", "confounded with"], lines, "Redundant coefficients", numbers=2)
 
 
-def _convergence(outcome: Outcome) -> Html:
+def _convergence(outcome: Outcome) -> Markup:
     """Rank and convergence of every fitted model."""
     stages = solved_stages(outcome)
     facts: dict[str, list[str]] = {
@@ -160,7 +163,7 @@ def _correction(p: Parameter) -> str:
     return f"{plus_minus(1e3 * p['value'], 1e3 * p['std'])} {unit}"
 
 
-def _origin(where: str, group: list[Parameter]) -> Html:
+def _origin(where: str, group: list[Parameter]) -> Markup:
     """Corrections of a joint's origin."""
     by_component = {p["component"]: p for p in group}
     ordered = [by_component[c] for c in (*FRAME_COMPONENTS, ZERO) if c in by_component]
@@ -175,7 +178,7 @@ def _origin(where: str, group: list[Parameter]) -> Html:
     return table(["", "correction ± 1σ"], lines, tag("code", where))
 
 
-def _link(nominal: dict[str, Link], where: str, group: list[Parameter]) -> Html:
+def _link(nominal: dict[str, Link], where: str, group: list[Parameter]) -> Markup:
     """Nominal and calibrated parameters of the link after a joint."""
     lines = []
     for p in group:
@@ -205,7 +208,7 @@ def _frames(outcome: Outcome) -> Iterator[Content]:
         yield tag("p", tag("em", f"and {rest} more; result.json lists them all"))
 
 
-def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Html:
+def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Markup:
     """Position and angles of one frame; ``status`` by the names of its coefficients."""
     lines = []
     values = [*frame["xyz"], *frame["rpy"]]

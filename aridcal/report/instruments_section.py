@@ -6,15 +6,17 @@ from collections.abc import Iterator
 from itertools import groupby
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Content, Html, codes, counted, number, plus_minus, table, tag
-from aridcal.drawing.words import scale_in_words, shown_in
+from aridcal.drawing.html import Content, codes, table, tag
+from aridcal.drawing.words import scale_in_words
 from aridcal.fit.constants import has_world
 from aridcal.instruments.catalogue import KINDS
 from aridcal.instruments.pixels import ON_TIP
 from aridcal.result.instruments import ThingValue, known_scale
 from aridcal.result.key_figures import row_errors
 from aridcal.result.outcome import Outcome, leading
+from aridcal.wording import counted, number, plus_minus, shown_in
 
 MOST_THINGS = 40
 """Lines of a table of things: result.json has them all."""
@@ -118,7 +120,7 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         )  # fmt: skip
 
 
-def _carriers(outcome: Outcome) -> Html:
+def _carriers(outcome: Outcome) -> Markup:
     """What cameras are fixed to: in its frame their places are."""
     cameras = outcome.measurements.instruments.things["camera"]
     on_tip = cameras.start[:, ON_TIP] > 0.5

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Content, Html, counted, number, table, tag
+from aridcal.drawing.html import Content, table, tag
 from aridcal.result.outcome import Outcome
 from aridcal.trust.iso9283 import (
     ASKED_CYCLES,
@@ -22,6 +23,7 @@ from aridcal.trust.iso9283 import (
     Iso9283,
     applies,
 )
+from aridcal.wording import counted, number
 
 MOST = 30
 """Poses that the table lists."""
@@ -104,7 +106,7 @@ def _worst(found: Iso9283, symbol: str) -> tuple[float, float]:
     return 1e3 * found.worst(found.nominal, symbol), 1e3 * found.worst(found.final, symbol)
 
 
-def _summary(found: Iso9283) -> Html:
+def _summary(found: Iso9283) -> Markup:
     """The worst of each characteristic, before and after."""
     head = ["symbol", "characteristic (clause)", "worst of", "nominal", "final"]
     return table(head, lines(found), f"Figures of {STANDARD}", numbers=3)
@@ -129,7 +131,7 @@ def _definitions(found: Iso9283) -> str:
     )
 
 
-def _poses(found: Iso9283, outcome: Outcome) -> Html:
+def _poses(found: Iso9283, outcome: Outcome) -> Markup:
     """Each pose with its figures."""
     m = outcome.measurements
     rows = []

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 
-from aridcal.drawing.html import Content, Html, bullets, codes, number, table, tag
-from aridcal.drawing.words import per_number, range_in_words, sigmas_in_words
+from markupsafe import Markup
+
+from aridcal.drawing.html import Content, bullets, codes, table, tag
+from aridcal.drawing.words import per_number, sigmas_in_words
 from aridcal.report.workspace_section import workspace
 from aridcal.result.controllers import INDEX, Export, Handover
 from aridcal.result.key_figures import narrow_joints
 from aridcal.result.outcome import Outcome
+from aridcal.wording import number, range_in_words
 
 # How the names of the coefficients of the target's frame begin.
 AT_TIP = ("tip_target.", "tip_target[")
@@ -69,7 +72,7 @@ def _uncertainty(outcome: Outcome) -> str:
     )
 
 
-def _after_a_change(things: bool) -> Html:
+def _after_a_change(things: bool) -> Markup:
     """What to repeat, by what was changed."""
     lines: list[list[Content]] = [
         [
@@ -125,7 +128,7 @@ def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozense
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
 
 
-def linked(file: str, beside: Collection[str]) -> Html:
+def linked(file: str, beside: Collection[str]) -> Markup:
     """The name of a file of the result, as a link where the file stands beside the page."""
     return tag("a", file, href=file) if file in beside else tag("code", file)
 
@@ -136,7 +139,7 @@ def _error(handover: Handover, export: Export) -> str:
     return f"{number(channel.scale * export.error)} {channel.shown}"
 
 
-def _files(handover: Handover, effects: bool, beside: Collection[str]) -> Html:
+def _files(handover: Handover, effects: bool, beside: Collection[str]) -> Markup:
     """The files of the result folder."""
     error = {file: _error(handover, export) for export in handover.exports for file in export.files}
     predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")

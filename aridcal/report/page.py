@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
+from markupsafe import Markup
+
 from aridcal import __version__
 from aridcal.drawing.frame import Section, empty_page, framed_page
-from aridcal.drawing.html import Content, Html, attempt, counted, join, missing, noting
+from aridcal.drawing.html import Content, attempt, join, missing, noting
 from aridcal.inputs.dataset import Dataset
 from aridcal.report.data_section import data, enough
 from aridcal.report.dependence import drives
@@ -21,6 +23,7 @@ from aridcal.report.limits_section import limits, use
 from aridcal.result.controllers import Handover
 from aridcal.result.outcome import Outcome
 from aridcal.showing import SILENT, Progress
+from aridcal.wording import counted
 
 # Anchor, title and content.
 Chapter = tuple[str, str, Iterable[Content]]
@@ -51,7 +54,7 @@ def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Pro
 
 def page(
     outcome: Outcome, handover: Handover, progress: Progress = SILENT, beside: Collection[str] = frozenset()
-) -> Html:
+) -> Markup:
     """The report as one self-contained HTML page; each of its sections fails alone.
 
     Args:

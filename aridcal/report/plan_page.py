@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.drawing.fields import color_steps, field
 from aridcal.drawing.figures import coverage, falling
 from aridcal.drawing.frame import framed_page, sections
-from aridcal.drawing.html import Content, Html, bullets, counted, figures, number, table, tag
-from aridcal.drawing.words import range_in_words, reading_in_words
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.planning.coverage import Sigma
 from aridcal.planning.design import Plan
 from aridcal.planning.rivals import duel_lines
 from aridcal.result.key_figures import joint_range
 from aridcal.robot.chain import Robot
+from aridcal.wording import counted, number, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}
 """Two planes in which targets are shown: numbers of their axes."""
@@ -37,7 +38,7 @@ NAMED = 3
 """Suspects named for one configuration, those first to which it matters most."""
 
 
-def plan_page(plan: Plan, robot: Robot, title: str) -> Html:
+def plan_page(plan: Plan, robot: Robot, title: str) -> Markup:
     """The page of a plan, self-contained.
 
     Args:
@@ -122,7 +123,7 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
     seen = plan.coverage
     sigma = 1e3 * seen.worst
     colors = color_steps(sigma)
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     for name, axes in VIEWS.items():
         labels = tuple(f"{'xyz'[axis]} [m]" for axis in axes)
         rings = {"planned": seen.targets[:, axes]}

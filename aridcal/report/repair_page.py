@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.frame import Section, card, empty_page, framed_page
-from aridcal.drawing.html import Content, Html, attempt, bullets, counted, noting, number, plus_minus, table, tag
+from aridcal.drawing.html import Content, attempt, bullets, noting, table, tag
 from aridcal.instruments.channels import Channel, norms
 from aridcal.report.identified_section import identified
 from aridcal.report.limits_section import use
@@ -19,12 +20,10 @@ from aridcal.result.outcome import errors
 from aridcal.upkeep.checking import Checked
 from aridcal.upkeep.outcomes import RepairOutcomes
 from aridcal.upkeep.repair import Change, Repaired
+from aridcal.wording import counted, number, plus_minus, shown_in
 
 MOST_ROWS = 40
 """New rows that the page lists; of more the worst."""
-
-SHOWN = {"m": ("mm", 1e3), "rad": ("mrad", 1e3)}
-"""How lengths and angles are shown; all else in its own unit."""
 
 
 def write_repair_report(
@@ -67,7 +66,7 @@ def _page(
     lineage: dict[str, Any],
     lines: list[str],
     handover: Handover,
-) -> Html:
+) -> Markup:
     """The whole page; each of its sections fails alone."""
     chapters = [
         ("moved", "1. What moved?", _moved(mended, lines)),
@@ -106,7 +105,7 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     )
 
 
-def _card(made: RepairOutcomes, k: int) -> Html:
+def _card(made: RepairOutcomes, k: int) -> Markup:
     """Before, after and left out of one channel in large figures."""
     m = made.rows.measurements
     channel, noise = m.channels[k], float(made.rows.noise[k])
@@ -137,7 +136,7 @@ def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
 def _changes(change: Change) -> Iterator[list[Content]]:
     """A line for each coefficient of what moved."""
     for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True):
-        shown, scale = SHOWN.get(unit, (unit, 1.0))
+        shown, scale = shown_in(unit)
         sure = "stated" if change.cause.kind == "new" else f"{100 * min(change.cause.probability, 0.999):.1f} %"
         yield [tag("code", name), f"{plus_minus(scale * value, scale * std)} {shown}", sure]
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
-from aridcal.drawing.html import Content, Html, bullets, counted, number, table, tag
+from aridcal.drawing.html import Content, bullets, table, tag
 from aridcal.drawing.parts import combination_in_words, constant_in_words, division_in_words, p_of_halves, pair_in_words
 from aridcal.report.data_section import row_place
 from aridcal.result.instruments import known_scale
@@ -14,6 +15,7 @@ from aridcal.result.outcome import Outcome
 from aridcal.trust.halves import Halves
 from aridcal.trust.known import Combination, Known
 from aridcal.trust.left_out import DECIDES, FOLDS, Influence
+from aridcal.wording import counted, number
 
 MOST_ROWS = 5
 MOST_PAIRS = 5
@@ -137,7 +139,7 @@ def known(outcome: Outcome) -> Iterator[Content]:
     yield from _minimal(outcome, found)
 
 
-def _combinations(outcome: Outcome, found: Known) -> Html:
+def _combinations(outcome: Outcome, found: Known) -> Markup:
     """The two ends of the list of combinations."""
     every = found.combinations
     shown = range(len(every))

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 
 from aridcal.drawing.fields import color_steps, field
-from aridcal.drawing.html import Content, Html, bullets, figures, number, table, tag
+from aridcal.drawing.html import Content, bullets, figures, table, tag
 from aridcal.drawing.words import kept_in_words
 from aridcal.result.outcome import Outcome
 from aridcal.trust.certainty import Certainty
 from aridcal.trust.workspace import Workspace
+from aridcal.wording import number
 
 
 def workspace(outcome: Outcome) -> Iterator[Content]:
@@ -66,9 +68,9 @@ def _line(title: str, part: Workspace) -> list[Content]:
     return [title, *(number(float(value)) for value in shown), where, f"{100 * part.measured.mean():.0f} %"]
 
 
-def _slices(known: Certainty) -> list[tuple[Content, Html]]:
+def _slices(known: Certainty) -> list[tuple[Content, Markup]]:
     """A picture of each slice."""
-    drawn: list[tuple[Content, Html]] = []
+    drawn: list[tuple[Content, Markup]] = []
     told = [(cut, cut.workspace.select(cut.workspace.told)) for cut in known.slices if cut.workspace.told.any()]
     if not told:
         return drawn

@@ -23,6 +23,7 @@ from aridcal.instruments.channels import Channel, columns
 from aridcal.model.model import Model
 from aridcal.result.key_figures import judged_channels, scored
 from aridcal.result.outcome import Outcome, leading
+from aridcal.result.urdf_files import write_urdf
 from aridcal.robot.chain import Robot, same_chain
 from aridcal.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.trust.regions import Region, Regions, regions
@@ -170,12 +171,12 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
     if handover.regions is not None:
         (folder / INDEX).parent.mkdir()
         for region in handover.regions.every:
-            (folder / INDEX).with_name(f"{region.name}.urdf").write_bytes(stage_urdf(region.fit))
+            write_urdf((folder / INDEX).with_name(f"{region.name}.urdf"), region.fit.model, region.fit.theta)
         text = yaml.safe_dump(index_document(outcome, handover.regions), sort_keys=False, width=200)
         unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
         write(INDEX, text, BY_REGION, *(WHERE_HOLDS if handover.regions.by else WHOSE_HOLDS), unit)
     if handover.with_maps is not None:
-        (folder / "joint_maps.urdf").write_bytes(stage_urdf(handover.with_maps))
+        write_urdf(folder / "joint_maps.urdf", handover.with_maps.model, handover.with_maps.theta)
         import pandas as pd  # slow to load, and few calibrations have maps
 
         rows = [

@@ -16,7 +16,7 @@ from aridcal import __version__
 from aridcal.effects.basis import Basis
 from aridcal.effects.catalogue import KINDS
 from aridcal.effects.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
-from aridcal.fit.constants import is_zero, stage_urdf
+from aridcal.fit.constants import is_zero
 from aridcal.fit.least_squares import Fit
 from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.catalogue import labelled
@@ -25,6 +25,7 @@ from aridcal.reading.freed import give_back
 from aridcal.result.measuring_head import MeasuringHead
 from aridcal.result.outcome import Outcome, Stage, Verification, errors
 from aridcal.result.saving import calibration
+from aridcal.result.urdf_files import write_urdf
 from aridcal.search.noise_causes import NoiseCause, NoiseCauses
 from aridcal.showing import SILENT, Progress
 from aridcal.trust.as_document import document
@@ -45,13 +46,19 @@ DIGITS = 9
 WHERE = ("world_base", "tip_target")
 
 
-def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> None:
-    """Write every file of the result folder that needs no drawing."""
+def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Write every file of the result folder that needs no drawing.
+
+    Returns:
+        What readers of URDFs cannot read of the user's own file, in words.
+    """
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
     give_back()  # what the figures took: the scatter over all rows below takes as much again
-    (folder / "calibrated.urdf").write_bytes(stage_urdf(outcome.stage("geometric").fit))
-    if outcome.effects:
-        (folder / "model.urdf").write_bytes(stage_urdf(outcome.stage("final").fit))
+    written = {"calibrated.urdf": "geometric", **({"model.urdf": "final"} if outcome.effects else {})}
+    notices: list[str] = []
+    for name, stage in written.items():
+        fit = outcome.stage(stage).fit
+        notices += write_urdf(folder / name, fit.model, fit.theta)
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     order = outcome.measurements.as_read
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
@@ -62,6 +69,7 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
         import pandas as pd  # slow to load, and other campaigns have no images
 
         pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
+    return tuple(dict.fromkeys(notices))
 
 
 def result_document(outcome: Outcome) -> dict[str, Any]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from aridcal.fit.least_squares import Fit
-from aridcal.result.outcome import enumerated
 from aridcal.robot.chain import Robot
+from aridcal.wording import enumerated
 
 MOST_PLACES = 6
 """Places that a coefficient is confounded with, beyond which it is so with everything: too few rows, and nothing of the tree."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +24,7 @@ from aridcal.trust.gains import Diagnosis, NamedEffect
 from aridcal.trust.iso9283 import Iso9283, iso_9283
 from aridcal.trust.second_look import SecondLook
 from aridcal.trust.uncertainty import Precision
+from aridcal.wording import enumerated
 
 STATISTICS = ("rms", "mean", "median", "p95", "max")
 
@@ -201,12 +201,6 @@ def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
     channels = [rows.channels[k] for k in leading(rows)]
     seen = [c for c in channels if not np.isnan(found[c.key]["rms"])] or channels[:1]
     return enumerated([f"{found[c.key]['rms']:.3f} {c.shown}" for c in seen])
-
-
-def enumerated(words: Sequence[str]) -> str:
-    """Words one after the other: ``a, b and c``."""
-    *first, last = words
-    return f"{', '.join(first)} and {last}" if first else last
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

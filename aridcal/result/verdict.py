@@ -34,11 +34,47 @@ NOISE_UNKNOWN = "noise_unknown"
 
 
 @dataclass(frozen=True)
+class Wording:
+    """A verdict in words.
+
+    Attributes:
+        cell: In a table of many calibrations.
+        line: On the screen.
+        sentences: In the report, with what to do.
+    """
+
+    cell: str
+    line: str
+    sentences: str
+
+
+VERDICTS = {
+    "noise_floor": Wording(
+        "noise alone remains",
+        "the remaining error is consistent with the noise",
+        "The remaining error is consistent with the measurement noise. Nothing repeatable is left to model.",
+    ),
+    "structure_remains": Wording(
+        "structure remains",
+        "a repeatable error remains",
+        "A repeatable error remains that the model does not describe. Section 5 shows what drives it.",
+    ),
+    "not_enough_data": Wording(
+        "too few data",
+        "too few data for this model",
+        "There are too few data for a model of this size. Measure more rows, spread over more of each joint's range, or "
+        "identify fewer parameters.",
+    ),
+}
+"""By their names in ``result.json``."""
+
+
+@dataclass(frozen=True)
 class Verdict:
     """What may be said of what remains.
 
     Attributes:
-        word: ``noise_floor``, ``structure_remains`` or ``not_enough_data``.
+        word: A key of :data:`VERDICTS`.
         share: Of the remaining variance that is repeatable beyond the noise, 0 to 1.
         reasons: Why it is not ``noise_floor``, in words; of that :data:`NOISE_UNKNOWN`, or none.
     """

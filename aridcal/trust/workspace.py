@@ -39,8 +39,8 @@ SAMPLES = 512
 thousandths."""
 
 LOOSE = 0.1
-"""[m] and [rad]: what a constant may be off by that no row tells. No robot is wrong by more; what is told is known a thousand
-times better, so that its size decides nothing else."""
+"""[m] and [rad]: what a constant, or an effect at the target, may be off by that no row tells. No robot is wrong by more; what is
+told is known a thousand times better, so that its size decides nothing else. Plans and comparisons take the same."""
 
 TOLD = 0.01
 """[m] and [rad]: a target that what no row tells may move by more is not known. A tenth of :data:`LOOSE`."""

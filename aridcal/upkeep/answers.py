@@ -8,11 +8,12 @@ import numpy as np
 
 from aridcal.inputs.counting import counting
 from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.result.outcome import enumerated, said
+from aridcal.result.outcome import said
 from aridcal.upkeep.bounds import FALSE_ALARMS, Bounds
 from aridcal.upkeep.checking import Cause, Checked
 from aridcal.upkeep.outcomes import RepairOutcomes
 from aridcal.upkeep.repair import Change
+from aridcal.wording import enumerated
 
 FAR_OFF = 0.03
 """[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is

@@ -11,7 +11,8 @@ from aridcal.inputs.dataset import Dataset
 from aridcal.instruments.channels import columns
 
 FALSE_ALARMS = 0.01
-"""Share of checks that may call a good calibration bad."""
+"""Share of checks that may call a good calibration bad; of pairs of calibrations of one robot, of fleets and of seasons in which
+nothing changed that may have an alarm."""
 
 
 @dataclass(frozen=True)
