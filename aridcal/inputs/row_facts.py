@@ -5,20 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from aridcal.inputs.remarks import Remark
 from aridcal.robot.chain import Route
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
-Facts = TypeVar("Facts", bound="DataclassInstance")
+Facts = TypeVar("Facts", "Origin", "Labels", "Repeats")
 
 
 @dataclass(frozen=True)
@@ -95,7 +92,8 @@ def untold(rows: int) -> Labels:
 def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
     values = {f.name: getattr(facts, f.name) for f in fields(facts)}
-    return replace(facts, **{name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)})
+    chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)}
+    return replace(facts, **chosen)
 
 
 def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
