@@ -15,7 +15,7 @@ from aridcal.robot.chain import Route
 ROLES = 3
 """Things that a row may refer to: a camera, a board and a marker."""
 
-Facts = TypeVar("Facts", "Origin", "Labels", "Repeats")
+Facts = TypeVar("Facts", bound=Any)
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,7 @@ def untold(rows: int) -> Labels:
 def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
     """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
     values = {f.name: getattr(facts, f.name) for f in fields(facts)}
-    chosen: dict[str, Any] = {name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)}
-    return replace(facts, **chosen)
+    return replace(facts, **{name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
