@@ -19,7 +19,7 @@ Example:
 
 from __future__ import annotations
 
-from aridcal import interrupt
+from aridcal.system import interrupt
 
 interrupt.watch()  # before all other imports: they take a second, in which Ctrl-C would print a traceback
 
@@ -46,8 +46,8 @@ __all__ = [
 if TYPE_CHECKING:
     from aridcal.api import PlannedPoses, calibrate, compare, fleet, history, load, merge, plan, propose, study
     from aridcal.calibration import Calibration
-    from aridcal.errors import AridcalError
-    from aridcal.inputs.campaign import Campaign
+    from aridcal.files.campaign import Campaign
+    from aridcal.system.errors import AridcalError
 else:
     import sys
     from types import ModuleType

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from aridcal import __version__
 from aridcal.command_line import run
-from aridcal.errors import AridcalError, nearest
+from aridcal.system.errors import AridcalError, nearest
 
 COMMANDS = {
     "init": "write a campaign for a URDF and a table of measurements",

@@ -26,29 +26,29 @@ import numpy as np
 import pandas as pd
 
 from aridcal.calibration import Calibration
-from aridcal.errors import AridcalError, shortened
-from aridcal.inputs.campaign import Campaign, load_campaign, nominal_robot
-from aridcal.inputs.tables import AnyTable
-from aridcal.jobs.calibration_changes import Changes, changes
-from aridcal.jobs.fleet_history import FleetHistory, over_time
-from aridcal.jobs.fleet_run import FleetRun, calibrated_fleet, fleet_run
-from aridcal.jobs.log_merge import merge
-from aridcal.jobs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
-from aridcal.jobs.proposal import tell
-from aridcal.jobs.study_run import StudyRun, repeated, study_run
-from aridcal.planning.beforehand import beforehand
-from aridcal.planning.design import Asked, Plan, as_table, design
-from aridcal.planning.exchange import Criterion
-from aridcal.plant.members import members
-from aridcal.plant.trials import load_study
-from aridcal.prepare.campaign_text import draft
-from aridcal.prepare.guesses import nobody
-from aridcal.prepare.other_readings import refuse_misread
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.robot.chain import Robot
-from aridcal.showing import Progress, Screen, one_thread, working
+from aridcal.engine.robot.chain import Robot
+from aridcal.files.campaign import Campaign, load_campaign, nominal_robot
+from aridcal.files.tables import AnyTable
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.fleet.members import members
+from aridcal.jobs.fleet.trials import load_study
+from aridcal.jobs.plan.beforehand import beforehand
+from aridcal.jobs.plan.pose_design import Asked, Plan, as_table, design
+from aridcal.jobs.plan.row_exchange import Criterion
+from aridcal.jobs.prepare.campaign_text import draft
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.prepare.other_readings import refuse_misread
+from aridcal.runs.calibration_changes import Changes, changes
+from aridcal.runs.fleet_history import FleetHistory, over_time
+from aridcal.runs.fleet_run import FleetRun, calibrated_fleet, fleet_run
+from aridcal.runs.log_merge import merge
+from aridcal.runs.plan_files import MOST_PLANNED, check_endings, check_outputs, write_plan
+from aridcal.runs.proposal import tell
+from aridcal.runs.study_run import StudyRun, repeated, study_run
+from aridcal.system.errors import AridcalError, shortened
+from aridcal.system.progress import Progress, Screen, one_thread, working
 
 __all__ = [
     "AridcalError",

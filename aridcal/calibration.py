@@ -14,7 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from aridcal.drawing.as_tables import (
+from aridcal.files.query import Query, seeded
+from aridcal.files.tables import AnyTable
+from aridcal.files.yaml_file import decode, parse_yaml
+from aridcal.jobs.apply.joint_commands import compensate
+from aridcal.jobs.apply.target_poses import evenly, predict, read_query, uncertainty
+from aridcal.jobs.calibrate.controllers import INDEX, by_region, hand_over, index_document
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import score
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, VERDICTS
+from aridcal.pages.drawing.html import tag
+from aridcal.pages.drawing.result_tables import (
     combination_table,
     effect_table,
     error_table,
@@ -24,31 +36,19 @@ from aridcal.drawing.as_tables import (
     region_table,
     verification_table,
 )
-from aridcal.drawing.html import tag
-from aridcal.drawing.scene import write_scene
-from aridcal.drawing.shown import DECIMALS, Verified, headline
-from aridcal.errors import AridcalError, CampaignError, shortened
-from aridcal.inputs.query import Query, seeded
-from aridcal.inputs.tables import AnyTable
-from aridcal.inputs.yaml_file import decode, parse_yaml
-from aridcal.jobs.repair_folder import recalibrate
-from aridcal.jobs.result_folder import write_folder
-from aridcal.jobs.rows_check import Check, check_rows
-from aridcal.reading.files import RESULT, read_file
-from aridcal.report.page import write_report
-from aridcal.result.compensate import compensate
-from aridcal.result.controllers import INDEX, by_region, hand_over, index_document
-from aridcal.result.folder import result_document
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import score
-from aridcal.result.predict import evenly, predict, read_query, uncertainty
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.verdict import NOISE_UNKNOWN, VERDICTS
-from aridcal.showing import SHOWN_REMARKS, Page, working
-from aridcal.writing.files import atomic_file
+from aridcal.pages.drawing.scene import write_scene
+from aridcal.pages.drawing.shown import DECIMALS, Verified, headline
+from aridcal.pages.report.page import write_report
+from aridcal.runs.repair_folder import recalibrate
+from aridcal.runs.result_folder import write_folder
+from aridcal.runs.rows_check import Check, check_rows
+from aridcal.system.errors import AridcalError, CampaignError, shortened
+from aridcal.system.progress import SHOWN_REMARKS, Page, working
+from aridcal.system.reading.regular_files import RESULT, read_file
+from aridcal.system.writing.whole_files import atomic_file
 
 if TYPE_CHECKING:
-    from aridcal.drawing.plots import Plots
+    from aridcal.pages.drawing.plots import Plots
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -138,7 +138,7 @@ class Calibration:
         Raises:
             AridcalError: of a loaded calibration without its ``residuals.csv``, or with a damaged one.
         """
-        from aridcal.drawing.plots import plots_of, plots_of_table  # matplotlib is slow to load, and few draw
+        from aridcal.pages.drawing.plots import plots_of, plots_of_table  # matplotlib is slow to load, and few draw
 
         if self.outcome is not None:
             return plots_of(self.outcome)

@@ -37,20 +37,20 @@ from aridcal.command_line import (
     print_headline,
     screens,
 )
-from aridcal.errors import OutputError
-from aridcal.inputs.measurement_settings import length_argument
-from aridcal.planning.design import joint_table
-from aridcal.planning.travel import short_order
-from aridcal.reading.names import path_argument
-from aridcal.result.saved_model import SavedModel
-from aridcal.upkeep.answers import check_lines
-from aridcal.upkeep.checking import Checked, check
-from aridcal.upkeep.new_rows import read_new_rows
-from aridcal.upkeep.repair import changes
-from aridcal.wording import enumerated
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, check_home, claimed
-from aridcal.writing.tables import ENDINGS, write_table
+from aridcal.files.measurement_settings import length_argument
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.maintain.answers import check_lines
+from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.jobs.maintain.repair import changes
+from aridcal.jobs.plan.pose_design import joint_table
+from aridcal.jobs.plan.travel import short_order
+from aridcal.system.errors import OutputError
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.wording import enumerated
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import ENDINGS, write_table
+from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 
 def parser() -> CommandParser:

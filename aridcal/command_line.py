@@ -13,10 +13,10 @@ from typing import Any, NoReturn
 
 from rich.text import Text
 
-from aridcal.errors import AridcalError, printable_lines, shortened
-from aridcal.interrupt import MESSAGE, SIGNALLED, leave
-from aridcal.showing import Screen, one_thread, unheard
-from aridcal.writing.signals import Handler, Terminated, handling, terminate
+from aridcal.system.errors import AridcalError, printable_lines, shortened
+from aridcal.system.interrupt import MESSAGE, SIGNALLED, leave
+from aridcal.system.progress import Screen, one_thread, unheard
+from aridcal.system.writing.signals import Handler, Terminated, handling, terminate
 
 DONE, BUG, BAD_INPUT, NOT_GOOD = 0, 1, 2, 3
 PIPED = 200

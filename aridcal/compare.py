@@ -20,15 +20,15 @@ import argparse
 import json
 import sys
 
-from aridcal.ageing.compare_page import compare_page
-from aridcal.ageing.comparison import Comparison, compare, document, lines
 from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
-from aridcal.reading.names import path_argument
-from aridcal.result.folder import finite
-from aridcal.result.saved_model import SavedModel
-from aridcal.showing import Screen
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_folder, claimed
+from aridcal.jobs.calibrate.folder import finite
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.history.comparison import Comparison, compare, document, lines
+from aridcal.pages.compare_page import compare_page
+from aridcal.system.progress import Screen
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 FILES = frozenset({"compare.html", "compare.json"})
 """All that is written."""

@@ -49,25 +49,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aridcal.command_line import CommandParser, command_parser, for_scripts, run, screens
-from aridcal.errors import CampaignError, OutputError, printable
-from aridcal.inputs.counting import counting
-from aridcal.inputs.query import Query, Remarks
-from aridcal.programs.job import Request, correct_programs
-from aridcal.programs.read_project import is_program
-from aridcal.programs.sentences import lines_of
-from aridcal.reading.names import path_argument
-from aridcal.result.compensate import Trajectory, compensate, correction_table, moved
-from aridcal.result.predict import read_queries
-from aridcal.result.saved_model import SavedModel
-from aridcal.showing import SHOWN_REMARKS, Screen, told_on
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, check_home, claimed
-from aridcal.writing.tables import ENDINGS, table_file, write_table
+from aridcal.files.counting import counting
+from aridcal.files.query import Query, Remarks
+from aridcal.jobs.apply.joint_commands import Trajectory, compensate, correction_table, moved
+from aridcal.jobs.apply.programs.read_project import is_program
+from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
+from aridcal.jobs.apply.programs.sentences import lines_of
+from aridcal.jobs.apply.target_poses import read_queries
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.system.errors import CampaignError, OutputError, printable
+from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import ENDINGS, table_file, write_table
+from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from aridcal.result.stretches import Stretch
+    from aridcal.jobs.apply.stretches import Stretch
 
 
 def parser() -> CommandParser:

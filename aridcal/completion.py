@@ -16,7 +16,7 @@ import shtab
 
 from aridcal.__main__ import COMMANDS
 from aridcal.command_line import CommandParser, command, command_parser
-from aridcal.reading.names import path_argument
+from aridcal.system.reading.user_names import path_argument
 
 
 def whole_parser() -> argparse.ArgumentParser:

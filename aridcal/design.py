@@ -42,16 +42,16 @@ from rich.table import Table
 from rich.text import Text
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.errors import OutputError
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.jobs.plan_files import MOST_PLANNED, WRITTEN, check_endings, check_outputs, write_plan
-from aridcal.planning.beforehand import beforehand
-from aridcal.planning.design import Asked, Plan, design
-from aridcal.planning.exchange import Criterion
-from aridcal.planning.rivals import duel_lines
-from aridcal.reading.names import path_argument
-from aridcal.showing import Screen, told_on
-from aridcal.writing.files import claimed
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.jobs.plan.beforehand import beforehand
+from aridcal.jobs.plan.discrimination import duel_lines
+from aridcal.jobs.plan.pose_design import Asked, Plan, design
+from aridcal.jobs.plan.row_exchange import Criterion
+from aridcal.runs.plan_files import MOST_PLANNED, WRITTEN, check_endings, check_outputs, write_plan
+from aridcal.system.errors import OutputError
+from aridcal.system.progress import Screen, told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.whole_files import claimed
 
 LONGEST_WAIT = 3600.0
 """[s]: a program that waits longer hangs."""

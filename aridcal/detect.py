@@ -23,24 +23,24 @@ import numpy as np
 import pandas as pd
 from rich.progress import track
 
-from aridcal.boards.advice import ENOUGH_IMAGES, advice
-from aridcal.boards.camera_file import CAMERA_FILE, camera_text, known_camera
-from aridcal.boards.finders import MIRRORED, Found, find
-from aridcal.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
-from aridcal.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
-from aridcal.boards.patterns import AnyBoard, Cube
-from aridcal.boards.pictures import grey_image, listed_images
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.errors import AridcalError, MeasurementError, listed, printable, shortened
-from aridcal.head.matching import NotMeasured
-from aridcal.inputs.instrument_settings import ArmCameraSettings
-from aridcal.inputs.tables import Table, read_tables
-from aridcal.reading.files import SETTINGS, read_file
-from aridcal.reading.names import check_name, path_argument
-from aridcal.showing import SHOWN_REMARKS, Screen
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_table, claimed_table
-from aridcal.writing.tables import in_plain_words
+from aridcal.files.instrument_settings import ArmCameraSettings
+from aridcal.files.tables import Table, read_tables
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.print.advice import ENOUGH_IMAGES, advice
+from aridcal.jobs.print.camera_file import CAMERA_FILE, camera_text, known_camera
+from aridcal.jobs.print.finders import MIRRORED, Found, find
+from aridcal.jobs.print.grey_images import grey_image, listed_images
+from aridcal.jobs.print.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
+from aridcal.jobs.print.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
+from aridcal.jobs.print.patterns import AnyBoard, Cube
+from aridcal.system.errors import AridcalError, MeasurementError, listed, printable, shortened
+from aridcal.system.progress import SHOWN_REMARKS, Screen
+from aridcal.system.reading.regular_files import SETTINGS, read_file
+from aridcal.system.reading.user_names import check_name, path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import in_plain_words
+from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
 BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""

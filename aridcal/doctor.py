@@ -23,8 +23,8 @@ from pathlib import Path
 
 from aridcal import __version__
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.errors import AridcalError
-from aridcal.writing.files import check_writable
+from aridcal.system.errors import AridcalError
+from aridcal.system.writing.whole_files import check_writable
 
 IMPORTED_AS = {
     "charset-normalizer": "charset_normalizer",
@@ -147,13 +147,13 @@ def _attempt(what: str, look: Callable[[], Finding]) -> Finding:
 
 def _round_trip() -> Finding:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
-    from aridcal.inputs.yaml_file import load_settings
-    from aridcal.jobs.result_folder import write_folder
-    from aridcal.prepare.scenario import Scenario
-    from aridcal.prepare.simulation import simulate, write_campaign
-    from aridcal.result.key_figures import overall
-    from aridcal.result.pipeline import identify
-    from aridcal.result.saved_model import SavedModel
+    from aridcal.files.yaml_file import load_settings
+    from aridcal.jobs.calibrate.key_figures import overall
+    from aridcal.jobs.calibrate.pipeline import identify
+    from aridcal.jobs.calibrate.saved_model import SavedModel
+    from aridcal.jobs.simulate.scenario import Scenario
+    from aridcal.jobs.simulate.simulation import simulate, write_campaign
+    from aridcal.runs.result_folder import write_folder
 
     started = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:

@@ -31,12 +31,12 @@ from aridcal.command_line import (
     for_scripts,
     screens,
 )
-from aridcal.jobs.fleet_run import PAGE, calibrated_fleet, summary
-from aridcal.plant.members import TAKEN, members
-from aridcal.plant.table import NAME
-from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
-from aridcal.writing.apart import check_apart
+from aridcal.jobs.fleet.members import TAKEN, members
+from aridcal.jobs.fleet.run_table import NAME
+from aridcal.runs.fleet_run import PAGE, calibrated_fleet, summary
+from aridcal.system.progress import told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
 
 if TYPE_CHECKING:
     pass

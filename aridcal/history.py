@@ -25,20 +25,20 @@ import sys
 from rich.table import Table
 from rich.text import Text
 
-from aridcal.ageing.history_page import (
+from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
+from aridcal.jobs.history.store import read_runs, tables_below
+from aridcal.jobs.history.wear import History, history
+from aridcal.pages.history_page import (
     about,
     constant_table,
     history_page,
     remarks,
 )
-from aridcal.ageing.store import read_runs, tables_below
-from aridcal.ageing.wear import History, history
-from aridcal.command_line import DONE, NOT_GOOD, CommandParser, command, command_parser, for_scripts, screens
-from aridcal.reading.names import path_argument
-from aridcal.showing import Screen
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_folder, claimed
-from aridcal.writing.tables import write_table
+from aridcal.system.progress import Screen
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import write_table
+from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 FILES = frozenset({"history.html", "history.csv"})
 """All that is written."""

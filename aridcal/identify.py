@@ -38,25 +38,25 @@ from aridcal.command_line import (
     print_headline,
     screens,
 )
-from aridcal.errors import OutputError, shortened
-from aridcal.head.found import CACHE
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.measurement_settings import length_argument
-from aridcal.instruments.channels import INCLINATION
-from aridcal.jobs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
-from aridcal.plant.keys import files_of
-from aridcal.reading.files import RESULT, read_file
-from aridcal.reading.freed import held
-from aridcal.reading.names import path_argument
-from aridcal.result.reading import read_job
-from aridcal.showing import told_on
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import claimed
+from aridcal.engine.instruments.channels import INCLINATION
+from aridcal.files.campaign import load_campaign
+from aridcal.files.measurement_settings import length_argument
+from aridcal.jobs.calibrate.job_inputs import read_job
+from aridcal.jobs.fleet.keys import files_of
+from aridcal.jobs.head1992.observations import CACHE
+from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
+from aridcal.system.errors import OutputError, shortened
+from aridcal.system.progress import told_on
+from aridcal.system.reading.freed import held
+from aridcal.system.reading.regular_files import RESULT, read_file
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.whole_files import claimed
 
 if TYPE_CHECKING:
-    from aridcal.result.controllers import Handover
-    from aridcal.result.outcome import Outcome, Verification
-    from aridcal.trust.gains import NamedEffect
+    from aridcal.engine.trust.gains import NamedEffect
+    from aridcal.jobs.calibrate.controllers import Handover
+    from aridcal.jobs.calibrate.outcome import Outcome, Verification
 
 MOST_NOTICES = 8
 
@@ -70,10 +70,10 @@ SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 def summary(outcome: Outcome, console: Console) -> None:
     """Print the figures that matter."""
-    from aridcal.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
-    from aridcal.result.folder import what_moved
-    from aridcal.result.key_figures import another_day, every_held_out_row, over_time
-    from aridcal.result.verdict import VERDICTS
+    from aridcal.jobs.calibrate.folder import what_moved
+    from aridcal.jobs.calibrate.key_figures import another_day, every_held_out_row, over_time
+    from aridcal.jobs.calibrate.verdict import VERDICTS
+    from aridcal.pages.drawing.words import NOT_FOR_A_CONTROLLER, kept_in_words, noise_unknown_in_words, scale_in_words
 
     if not outcome.verdict.for_controller:
         console.print(NOT_FOR_A_CONTROLLER, markup=False, style="bold red")
@@ -112,8 +112,8 @@ def summary(outcome: Outcome, console: Console) -> None:
 
 def _error_table(outcome: Outcome) -> Table:
     """Errors of every stage on the rows that judge the calibration."""
-    from aridcal.result.key_figures import judged_channels, scored
-    from aridcal.result.outcome import errors
+    from aridcal.jobs.calibrate.key_figures import judged_channels, scored
+    from aridcal.jobs.calibrate.outcome import errors
 
     mask, rows = scored(outcome)
     table = Table(title=f"error on {mask.sum()} {rows}, the instrument's noise included", title_justify="left")
@@ -132,8 +132,8 @@ def _error_table(outcome: Outcome) -> Table:
 
 def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
     """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
-    from aridcal.result.key_figures import or_as_well
-    from aridcal.result.outcome import said
+    from aridcal.jobs.calibrate.key_figures import or_as_well
+    from aridcal.jobs.calibrate.outcome import said
 
     source = "declared" if named.declared else "found"
     gain = ""
@@ -146,7 +146,7 @@ def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
 
 def _noise_line(outcome: Outcome) -> str:
     """The noise that is left, and what it is made of beyond the instrument."""
-    from aridcal.drawing.words import causes_in_words, noise_in_words
+    from aridcal.pages.drawing.words import causes_in_words, noise_in_words
 
     causes = causes_in_words(outcome)
     return f"noise: {noise_in_words(outcome, outcome.scatter)}{'. ' if causes else ''}{causes}"
@@ -154,7 +154,7 @@ def _noise_line(outcome: Outcome) -> str:
 
 def _verification_lines(v: Verification) -> list[str]:
     """Errors on another day's data."""
-    from aridcal.result.outcome import said
+    from aridcal.jobs.calibrate.outcome import said
 
     sound = ~v.outlier
     figures = ", ".join(f"{name} {said(r, sound, v.measurements)}" for name, r in v.residuals.items())
@@ -216,8 +216,8 @@ def _identify(arguments: argparse.Namespace, out: Path) -> int:
         check_apart((out / name for name in RESULT_FILES), inputs)
         job = read_job(campaign, arguments.seed, progress, out / CACHE, arguments.verify is not None)
         # Loaded only now, here and above: what fits, searches and draws takes longer to load than a slip in a table to be found.
-        from aridcal.prepare.other_readings import refuse_misread
-        from aridcal.result.pipeline import identify
+        from aridcal.jobs.calibrate.pipeline import identify
+        from aridcal.jobs.prepare.other_readings import refuse_misread
 
         with held():
             outcome = identify(job, verify=arguments.verify, progress=progress, judge=refuse_misread)
@@ -263,7 +263,7 @@ def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
 
 def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
     """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
-    from aridcal.result.key_figures import scored  # as above
+    from aridcal.jobs.calibrate.key_figures import scored  # as above
 
     found = json.loads(read_file(out / "result.json", OutputError, RESULT))
     judged, rows = scored(outcome)

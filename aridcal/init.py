@@ -16,13 +16,13 @@ import sys
 from pathlib import Path
 
 from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
-from aridcal.errors import OutputError, printable, shortened
-from aridcal.jobs.proposal import tell
-from aridcal.prepare.campaign_text import draft
-from aridcal.prepare.guesses import nobody
-from aridcal.reading.names import path_argument
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, claimed
+from aridcal.jobs.prepare.campaign_text import draft
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.runs.proposal import tell
+from aridcal.system.errors import OutputError, printable, shortened
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.whole_files import atomic_file, claimed
 
 
 def parser() -> CommandParser:

@@ -19,18 +19,18 @@ from rich.progress import track
 from scipy.spatial.transform import Rotation
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.drawing.html import tag
-from aridcal.errors import AridcalError, printable, shortened
-from aridcal.head.shots import THUMBNAIL, Measured, load, measure_shots
-from aridcal.head.sonar import contradictions
-from aridcal.inputs.head_settings import POSE_COLUMNS, HeadSettings, range_columns
-from aridcal.inputs.quantities import STD
-from aridcal.inputs.tables import Table
-from aridcal.reading.names import path_argument
-from aridcal.showing import SHOWN_REMARKS, Screen
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_table, claimed_table
-from aridcal.writing.tables import in_plain_words
+from aridcal.files.quantities import STD
+from aridcal.files.tables import Table
+from aridcal.jobs.head1992.head_settings import POSE_COLUMNS, HeadSettings, range_columns
+from aridcal.jobs.head1992.shots import THUMBNAIL, Measured, load, measure_shots
+from aridcal.jobs.head1992.sonar import contradictions
+from aridcal.pages.drawing.html import tag
+from aridcal.system.errors import AridcalError, printable, shortened
+from aridcal.system.progress import SHOWN_REMARKS, Screen
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import in_plain_words
+from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
 BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""

@@ -26,21 +26,21 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.boards.camera_file import CAMERA_FILE
-from aridcal.boards.frames import png_file
 from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
-from aridcal.head.matching import NotMeasured
-from aridcal.jobs.log_merge import Logs, read_logs, tell
-from aridcal.logs.bag_camera import BagCamera, camera_file, intrinsics
-from aridcal.logs.merging import merged
-from aridcal.logs.page import merge_page
-from aridcal.logs.pictures import pictured
-from aridcal.prepare.guesses import nobody
-from aridcal.reading.names import path_argument
-from aridcal.showing import SHOWN_REMARKS
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_folder, atomic_table, claimed, claimed_table
-from aridcal.writing.tables import table_file
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.merge.bag_camera import BagCamera, camera_file, intrinsics
+from aridcal.jobs.merge.camera_images import pictured
+from aridcal.jobs.merge.merging import merged
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.jobs.print.camera_file import CAMERA_FILE
+from aridcal.jobs.print.camera_frames import png_file
+from aridcal.pages.merge_page import merge_page
+from aridcal.runs.log_merge import Logs, read_logs, tell
+from aridcal.system.progress import SHOWN_REMARKS
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import table_file
+from aridcal.system.writing.whole_files import atomic_folder, atomic_table, claimed, claimed_table
 
 OURS = re.compile(r"stop_\d+\.png")
 """Images of an earlier run, which go with it."""

@@ -28,15 +28,15 @@ from pathlib import Path
 import pandas as pd
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.errors import CampaignError, OutputError
-from aridcal.inputs.query import Query, Remarks
-from aridcal.reading.names import path_argument
-from aridcal.result.predict import predict, read_queries
-from aridcal.result.saved_model import SavedModel
-from aridcal.showing import SHOWN_REMARKS, Screen, told_on
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_file, check_home, claimed
-from aridcal.writing.tables import ENDINGS, table_file
+from aridcal.files.query import Query, Remarks
+from aridcal.jobs.apply.target_poses import predict, read_queries
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.system.errors import CampaignError, OutputError
+from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.table_writer import ENDINGS, table_file
+from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 
 def parser() -> CommandParser:

@@ -20,15 +20,15 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.boards.bodies import cup, holder, seat_rise, stl
-from aridcal.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
-from aridcal.boards.patterns import Marks, Tags, drawing, marks, square_strip
-from aridcal.boards.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.errors import CampaignError, OutputError
-from aridcal.head.square import STRIP_SQUARES
-from aridcal.reading.names import path_argument
-from aridcal.writing.files import atomic_file, atomic_table
+from aridcal.jobs.head1992.square import STRIP_SQUARES
+from aridcal.jobs.print.bodies import cup, holder, seat_rise, stl
+from aridcal.jobs.print.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.jobs.print.patterns import Marks, Tags, drawing, marks, square_strip
+from aridcal.jobs.print.sheet import MM, Sheet, on_paper, pdf, svg
+from aridcal.system.errors import CampaignError, OutputError
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.whole_files import atomic_file, atomic_table
 
 MARKERS = "markers.csv"
 """Written beside a board: the places of its marks."""

@@ -19,9 +19,9 @@ import argparse
 import sys
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.jobs.repair_folder import recalibrate
-from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
+from aridcal.runs.repair_folder import recalibrate
+from aridcal.system.progress import told_on
+from aridcal.system.reading.user_names import path_argument
 
 
 def parser() -> CommandParser:

@@ -12,13 +12,13 @@ import argparse
 import sys
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
-from aridcal.writing.apart import check_apart
-from aridcal.writing.files import atomic_folder, claimed
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.system.progress import told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 
 def parser() -> CommandParser:

@@ -31,13 +31,13 @@ from aridcal.command_line import (
     for_scripts,
     screens,
 )
-from aridcal.jobs.study_run import PAGE, repeated, summary
-from aridcal.plant.record import FAILED
-from aridcal.plant.studied import NAME
-from aridcal.plant.trials import load_study
-from aridcal.reading.names import path_argument
-from aridcal.showing import told_on
-from aridcal.writing.apart import check_apart
+from aridcal.jobs.fleet.run_record import FAILED
+from aridcal.jobs.fleet.study_runs import NAME
+from aridcal.jobs.fleet.trials import load_study
+from aridcal.runs.study_run import PAGE, repeated, summary
+from aridcal.system.progress import told_on
+from aridcal.system.reading.user_names import path_argument
+from aridcal.system.writing.apart import check_apart
 
 if TYPE_CHECKING:
     pass

@@ -31,10 +31,10 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 
 from aridcal.command_line import CommandParser, command, command_parser
-from aridcal.errors import OutputError
-from aridcal.reading.files import RESULT, read_file
-from aridcal.reading.names import path_argument
-from aridcal.showing import Screen
+from aridcal.system.errors import OutputError
+from aridcal.system.progress import Screen
+from aridcal.system.reading.regular_files import RESULT, read_file
+from aridcal.system.reading.user_names import path_argument
 
 # Meshcat's server runs inside this process: its own way, a child in a session of its own, outlives a parent that is
 # killed. Two things of it are closed: it would listen to the whole network, and take drawing commands from any program on
@@ -112,7 +112,7 @@ class Viewer(ZMQWebSocketBridge):
 
     def page(self) -> str:
         """The file's page, with the script that keeps it up to date."""
-        script = files("aridcal.drawing").joinpath("assets/live.js").read_text("utf-8")
+        script = files("aridcal.pages.drawing").joinpath("assets/live.js").read_text("utf-8")
         live = f'<script data-stamp="{self._stamp}">{script}</script>'
         no_icon = '<link rel="icon" href="data:,">'  # browsers would ask for one
         before, end, after = self._page.replace("</head>", f"{no_icon}</head>", 1).rpartition("</body>")

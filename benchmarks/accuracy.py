@@ -33,24 +33,24 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.fit.constants import constants
-from aridcal.fit.identifiable import identifiable
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.problem import problem
-from aridcal.fit.residual import triangle
-from aridcal.fit.stages import fit_geometry, recentred
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.model.model import Model
-from aridcal.model.reaching import draw_readings
-from aridcal.result.outcome import errors
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SolvedModel
-from aridcal.robot.chain import Robot, load_robot
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
-from aridcal.trust.uncertainty import with_noise_seen
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.identifiable import identifiable
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.residual import triangle
+from aridcal.engine.fit.stages import fit_geometry, recentred
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.engine.trust.uncertainty import with_noise_seen
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.calibrate.outcome import errors
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SolvedModel
+from aridcal.system.progress import SILENT
 
 TOP = Path(__file__).resolve().parents[1]
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"

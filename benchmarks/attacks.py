@@ -44,9 +44,9 @@ from hostile import FIRST_LINE, Case, Cause
 from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
-from aridcal.inputs.campaign import Campaign
-from aridcal.result.pipeline import identify
-from aridcal.result.saving import calibration
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saving import calibration
 
 OFF = 0.7  # miss in sigma at which nobody may say that only noise is left
 WHOLE = 1.3  # times the oracle's miss within which a fault is found whole

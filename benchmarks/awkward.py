@@ -21,11 +21,11 @@ from awkward_hostile import CASES
 from awkward_tables import ASKED, RIGHT, Case, Truth, truth
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import AridcalError
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.prepare.campaign_text import draft
-from aridcal.prepare.guesses import nobody
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.prepare.campaign_text import draft
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.system.errors import AridcalError
 
 WRONG = "wrong"
 

@@ -17,8 +17,8 @@ import pandas as pd
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
 
 URDF = Path(__file__).resolve().parents[1] / "urdf"
 

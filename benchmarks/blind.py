@@ -30,16 +30,16 @@ import numpy as np
 from cases import run_cases
 from machines import ADDED, NAMED, Case, basis_of, contribution, draw_case
 
-from aridcal.effects.effect import Effect
-from aridcal.fit.identifiable import identifiable
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import problem
-from aridcal.fit.residual import triangle
-from aridcal.instruments.channels import spread
-from aridcal.result.pipeline import judged
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.fit.identifiable import identifiable
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.residual import triangle
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.system.progress import SILENT
 
 TELLABLE = 12.0
 COVERED = 0.5  # share of the error of an effect without a name that must be gone

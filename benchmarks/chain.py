@@ -24,32 +24,32 @@ import cv2
 import numpy as np
 import pinocchio as pin
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import declared
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import Surroundings
-from aridcal.fit.constants import constants
-from aridcal.fit.identifiable import identifiable
-from aridcal.head.detections import head_things, shot_rows
-from aridcal.head.matching import NotMeasured
-from aridcal.head.pose import Sonars
-from aridcal.head.render import Optics, photograph, read_sonars
-from aridcal.head.seen import head_of, start_anywhere
-from aridcal.head.shots import sight
-from aridcal.head.square import layout
-from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import dataset
-from aridcal.inputs.head_settings import HeadSettings, load_squares
-from aridcal.inputs.yaml_file import load_settings, parse_settings
-from aridcal.instruments.camera import predict_pixels
-from aridcal.instruments.camera_sonar import Head, HeadShot, carried, predict_ranges
-from aridcal.model.model import Model
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.viewpoints import draw_views
-from aridcal.robot.chain import load_robot
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import declared
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.identifiable import identifiable
+from aridcal.engine.instruments.camera import predict_pixels
+from aridcal.engine.instruments.camera_sonar import Head, HeadShot, carried, predict_ranges
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.dataset import dataset
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.files.campaign import Campaign, FrameSettings
+from aridcal.files.yaml_file import load_settings, parse_settings
+from aridcal.jobs.head1992.detections import head_things, shot_rows
+from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.head1992.render import Optics, photograph, read_sonars
+from aridcal.jobs.head1992.shot_rows import head_of, start_anywhere
+from aridcal.jobs.head1992.shots import sight
+from aridcal.jobs.head1992.square import layout
+from aridcal.jobs.head1992.square_pose import Sonars
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.viewpoints import draw_views
+from aridcal.system.progress import SILENT
 
 STRIP = Path(__file__).parents[1] / "identification" / "arid-strip"
 N, QUERIES = 120, 400

@@ -23,14 +23,14 @@ import pandas as pd
 import robots
 from calibrated import NOISE, Machine, jump, machine
 
-from aridcal.errors import MeasurementError
-from aridcal.result.saved_model import SavedModel
-from aridcal.upkeep.bounds import FALSE_ALARMS
-from aridcal.upkeep.checking import asked, check
-from aridcal.upkeep.evidence import alarm, covariance_of, likely
-from aridcal.upkeep.new_rows import known_noise, read_new_rows
-from aridcal.upkeep.repair import changes, repaired
-from aridcal.upkeep.suspects import suspects, widened
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.jobs.maintain.checking import asked, check
+from aridcal.jobs.maintain.hypotheses import suspects, widened
+from aridcal.jobs.maintain.likelihoods import alarm, covariance_of, likely
+from aridcal.jobs.maintain.new_rows import known_noise, read_new_rows
+from aridcal.jobs.maintain.repair import changes, repaired
+from aridcal.system.errors import MeasurementError
 
 OFF = 2e-3
 """[rad] by which the readings of a real robot's joint are changed."""

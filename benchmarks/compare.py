@@ -26,14 +26,14 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from aridcal.ageing.comparison import compare, lines
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.history.comparison import compare, lines
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 TOP = Path(__file__).resolve().parents[1]
 

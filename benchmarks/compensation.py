@@ -33,26 +33,26 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.fit.constants import constants
-from aridcal.inputs.query import Query
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.model.inverse import Command
-from aridcal.model.model import Model
-from aridcal.model.reaching import draw_readings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import (
+from aridcal.engine.corrections.loads import Surroundings, covariate_table
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.inverse.one_pose import Command
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.files.query import Query
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.apply.joint_commands import follow
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import (
     Simulation,
     named_constants,
     simulate,
     surroundings,
     write_campaign,
 )
-from aridcal.result.compensate import follow
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.result.saving import calibration
-from aridcal.robot.chain import Robot, load_robot
 
 TOP = Path(__file__).resolve().parents[1]
 PUBLIC = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"

@@ -22,20 +22,20 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.instruments.catalogue import KINDS
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import Candidates, draw_candidates
-from aridcal.planning.design import POOL, RANDOM, SMALL_POOL, Asked, question
-from aridcal.planning.exchange import best_choice, exchanged, rms_sigma, worst_sigma
-from aridcal.planning.refine import Refined, refined
-from aridcal.planning.region import region_readings
-from aridcal.planning.suspects import with_usual_effects
-from aridcal.planning.telling import rows_of
-from aridcal.result.outcome import errors
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import load_robot
+from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.robot.chain import load_robot
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.calibrate.outcome import errors
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates
+from aridcal.jobs.plan.information import rows_of
+from aridcal.jobs.plan.pose_design import POOL, RANDOM, SMALL_POOL, Asked, question
+from aridcal.jobs.plan.refine import Refined, refined
+from aridcal.jobs.plan.row_exchange import best_choice, exchanged, rms_sigma, worst_sigma
+from aridcal.jobs.plan.target_region import region_readings
+from aridcal.jobs.plan.usual_effects import with_usual_effects
 
 TOP = Path(__file__).resolve().parents[1]
 DATA = TOP / ".." / "shared" / "data"

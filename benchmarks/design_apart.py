@@ -19,14 +19,14 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.model.reaching import limits_of
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import Candidates, rows_like, targets_of
-from aridcal.planning.design import Asked, design
-from aridcal.planning.suspects import with_pair
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.inverse.reachable import limits_of
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.configurations import Candidates, rows_like, targets_of
+from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.usual_effects import with_pair
 
 TOP = Path(__file__).resolve().parents[1]
 NOISE = 1e-4

@@ -76,11 +76,13 @@ class Run:
 
 def simulated(folder: Path, n: int, urdf: Path = UR10, tip: str = "tool0") -> None:
     """A campaign whose constants are all off by a millimetre or a milliradian."""
-    from aridcal.fit.constants import constants  # the parent stays small: a child's peak begins with its parent's
-    from aridcal.inputs.yaml_file import load_settings
-    from aridcal.prepare.scenario import Scenario
-    from aridcal.prepare.simulation import simulate, write_campaign
-    from aridcal.robot.chain import load_robot
+    from aridcal.engine.fit.constants import (
+        constants,  # the parent stays small: a child's peak begins with its parent's
+    )
+    from aridcal.engine.robot.chain import load_robot
+    from aridcal.files.yaml_file import load_settings
+    from aridcal.jobs.simulate.scenario import Scenario
+    from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
     wrong = {c.name: {"std": 1e-3} for c in constants(load_robot(urdf, tip), "full")}
     settings = {

@@ -39,9 +39,9 @@ import numpy as np
 import yaml
 from fleet_cluster import cluster
 
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 TOP = Path(__file__).resolve().parents[1]
 
@@ -244,8 +244,8 @@ def busy(folder: Path, robots: int | None, control: int, limit: float) -> int:
 PLAIN = """
 import sys, time
 from pathlib import Path
-from aridcal.plant.work import Task, calibrated, inputs_at
-from aridcal.jobs.result_folder import write_folder
+from aridcal.jobs.fleet.work import Task, calibrated, inputs_at
+from aridcal.runs.result_folder import write_folder
 out = Path(sys.argv[1])
 given = map(Path, sys.argv[2:])
 tasks = [Task(c.parent.name, str(c), str(out / c.parent.name), inputs_at(c)[0].key, write_folder) for c in given]

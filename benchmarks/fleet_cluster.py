@@ -17,8 +17,8 @@ from typing import Any
 PRELOAD = """
 import json, os, time
 import threadpoolctl
-import aridcal.plant.work as work
-import aridcal.jobs.result_folder as results
+import aridcal.jobs.fleet.work as work
+import aridcal.runs.result_folder as results
 def log(**what):
     line = json.dumps({"pid": os.getpid(), "time": time.time(), "cpu": time.process_time()} | what) + "\\n"
     file = os.open(os.environ["FLEET_LOG"], os.O_WRONLY | os.O_APPEND | os.O_CREAT)

@@ -27,19 +27,19 @@ import yaml
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from aridcal.effects.catalogue import candidates
-from aridcal.effects.loads import Surroundings
-from aridcal.effects.smooth import Kernel, samples_root
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.approach import with_directions
-from aridcal.inputs.dataset import Dataset, with_places
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot
-from aridcal.search.diagnose import look
-from aridcal.trust.halves import DISAGREE, halves
+from aridcal.engine.corrections.catalogue import candidates
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.corrections.smooth import Kernel, samples_root
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.approach import with_directions
+from aridcal.engine.rows.dataset import Dataset, with_places
+from aridcal.engine.search.diagnose import look
+from aridcal.engine.trust.halves import DISAGREE, halves
 
 TOP = Path(__file__).resolve().parents[1]
 NOISE = 1e-4
@@ -194,7 +194,7 @@ def power(runs: int) -> None:
 
 def real(_: int) -> None:
     """A real robot."""
-    from aridcal.result.pipeline import identify
+    from aridcal.jobs.calibrate.pipeline import identify
 
     path = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"
     keys = yaml.safe_load(path.read_text())

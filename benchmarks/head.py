@@ -6,9 +6,9 @@
     python benchmarks/head.py sonar
     python benchmarks/head.py speed --images 60
 
-Truth comes from ``aridcal.head.render``, which computes areas covered, supersampled and blurred, and shares no edge model with
-the detector. Every image has its own seed, so that any of them can be made again; ``--first`` takes others. What each figure
-should be stands behind it in brackets.
+Truth comes from ``aridcal.jobs.head1992.render``, which computes areas covered, supersampled and blurred, and shares no edge
+model with the detector. Every image has its own seed, so that any of them can be made again; ``--first`` takes others. What
+each figure should be stands behind it in brackets.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ import cv2
 import numpy as np
 import pinocchio as pin
 
-from aridcal.head.fiducials import Fiducials, find_fiducials
-from aridcal.head.matching import NotMeasured, spans_plane
-from aridcal.head.pose import Pose, Sonars, measure_pose
-from aridcal.head.render import Glare, Patch, Scene, coverage, light_map, render
-from aridcal.head.sonar import doty_plane, fit_plane, ranges
-from aridcal.head.square import INCH, Layout, layout, strip_placements
-from aridcal.instruments.camera import DOTY_OPENCV, predict_pixels
-from aridcal.instruments.camera_sonar import predict_ranges
+from aridcal.engine.instruments.camera import DOTY_OPENCV, predict_pixels
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
+from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
+from aridcal.jobs.head1992.render import Glare, Patch, Scene, coverage, light_map, render
+from aridcal.jobs.head1992.sonar import doty_plane, fit_plane, ranges
+from aridcal.jobs.head1992.square import INCH, Layout, layout, strip_placements
+from aridcal.jobs.head1992.square_pose import Pose, Sonars, measure_pose
 
 WIDTH = HEIGHT = 512
 INTRINSICS = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

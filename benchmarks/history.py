@@ -33,16 +33,16 @@ import pyarrow as pa
 import pyarrow.parquet
 import yaml
 
-from aridcal.ageing.store import read_runs
-from aridcal.ageing.trend import Cycle, Series, dated, evidence
-from aridcal.ageing.wear import LOOKS, History, history
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.folder import result_document
-from aridcal.result.pipeline import identify
-from aridcal.upkeep.bounds import FALSE_ALARMS
-from aridcal.writing.files import atomic_folder
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.history.store import read_runs
+from aridcal.jobs.history.trend import Cycle, Series, dated, evidence
+from aridcal.jobs.history.wear import LOOKS, History, history
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.system.writing.whole_files import atomic_folder
 
 TOP = Path(__file__).resolve().parents[1]
 

@@ -61,18 +61,18 @@ from scipy.spatial.transform import Rotation
 from tilted import geometric, measured
 
 import aridcal
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import problem
-from aridcal.inputs.dataset import Dataset, with_places
-from aridcal.model.reaching import draw_readings
-from aridcal.prepare.true_effects import TrueEffect, make_causes
-from aridcal.result.gravity_direction import gravity_direction
-from aridcal.robot.chain import Robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Surroundings, covariate_table
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, with_places
+from aridcal.jobs.calibrate.gravity_direction import gravity_direction
+from aridcal.jobs.simulate.true_effects import TrueEffect, make_causes
+from aridcal.system.errors import AridcalError
 
 PLACES, EACH, APART = 45, 5, 4e-3
 """Places, readings of each, and half of how far their joints are apart, [rad]."""

@@ -14,19 +14,19 @@ import pinocchio as pin
 from random_robots import draw_robot
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.instruments.channels import spread
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import Simulation, simulate, write_campaign
-from aridcal.prepare.true_things import documents
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import Simulation, simulate, write_campaign
+from aridcal.jobs.simulate.true_things import documents
 
 TOP = Path(__file__).resolve().parents[1]
 EYE = {"fx": 700, "fy": 700, "cx": 320, "cy": 240, "width": 640, "height": 480}

@@ -36,12 +36,12 @@ import numpy as np
 from instrument_cases import ARMS, QUERIES, WAYS, Made, elsewhere, error_of, geometric, made, noisy, rows_of, scenario
 from instruments_blind import blind, causes
 
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.problem import problem
-from aridcal.model.model import Model
-from aridcal.model.reaching import draw_readings
-from aridcal.prepare.simulation import named_constants
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import Model
+from aridcal.jobs.simulate.simulation import named_constants
+from aridcal.system.errors import AridcalError
 
 PLACES = ("world_base", "tip_target")
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from instrument_cases import QUERIES, WAYS, Made, elsewhere, error_of, geometric, made, noisy, rows_of, scenario
 
-from aridcal.effects.effect import Effect
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import Fit
-from aridcal.instruments.channels import spread
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.search.noise_causes import noise_causes
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.engine.search.noise_causes import noise_causes
+from aridcal.system.errors import AridcalError
+from aridcal.system.progress import SILENT
 
 BLIND = ("point", "distance", "plane", "eye in hand")
 KINDS = (

@@ -38,8 +38,8 @@ import pandas as pd
 import yaml
 
 from aridcal import compensate, identify, init, measure, predict, simulate
-from aridcal.writing import disk, staging
-from aridcal.writing.files import claimed
+from aridcal.system.writing import disk, staging
+from aridcal.system.writing.whole_files import claimed
 
 ROOT = Path(__file__).resolve().parents[1]
 ARID = ROOT / "identification" / "arid"

@@ -31,20 +31,20 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.model.model import Model
-from aridcal.result.outcome import errors
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.calibrate.outcome import errors
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.system.progress import SILENT
 
 TOP = Path(__file__).resolve().parent.parent
 UR10 = TOP / "identification" / "ur10-laser-tracker" / "campaign-b.yaml"

@@ -11,19 +11,19 @@ import pinocchio as pin
 from random_robots import FAMILIES, draw_robot
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.effects.loads import Payload, Surroundings, covariate_table
-from aridcal.errors import CampaignError
-from aridcal.fit.constants import constants
-from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset, with_places, with_sigma
-from aridcal.instruments.channels import spread
-from aridcal.model.model import Model
-from aridcal.model.reaching import draw_readings
-from aridcal.prepare.true_effects import Cause, TrueEffect, draw_columns, make_causes
-from aridcal.robot.chain import Robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient, Effect
+from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, dataset, with_places, with_sigma
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.simulate.true_effects import Cause, TrueEffect, draw_columns, make_causes
+from aridcal.system.errors import CampaignError
 
 NAMED = (
     "joint_gain", "joint_harmonic", "joint_map", "joint_backlash", "joint_compliance", "bearing_compliance",

@@ -23,9 +23,9 @@ sys.path.insert(0, str(HERE / "tests"))
 import made_logs  # noqa: E402
 import robots  # noqa: E402
 
-from aridcal.errors import AridcalError  # noqa: E402
-from aridcal.jobs.log_merge import joined  # noqa: E402
-from aridcal.prepare.guesses import nobody  # noqa: E402
+from aridcal.jobs.prepare.guesses import nobody  # noqa: E402
+from aridcal.runs.log_merge import joined  # noqa: E402
+from aridcal.system.errors import AridcalError  # noqa: E402
 
 CASES: dict[str, dict[str, float]] = {
     "3.7 s, 40 ppm": {},

@@ -23,11 +23,11 @@ from rich.console import Console
 from rich.table import Table
 from robots import ur10
 
-from aridcal.errors import AridcalError, printable
-from aridcal.programs.cell import Cell
-from aridcal.programs.frames import read_frames
-from aridcal.programs.read_project import read_project
-from aridcal.programs.targets import Target
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.frames import read_frames
+from aridcal.jobs.apply.programs.read_project import read_project
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.system.errors import AridcalError, printable
 
 KINDS = {
     "worked out, changed, or used for two things": (

@@ -55,10 +55,10 @@ class Clock:
 
 def aridcal(folder: Path) -> Answer:
     clock = Clock()
-    from aridcal.fit.stages import fit_geometry
-    from aridcal.inputs.campaign import load_campaign
-    from aridcal.inputs.read import load_measurements
-    from aridcal.robot.chain import load_robot
+    from aridcal.engine.fit.stages import fit_geometry
+    from aridcal.engine.robot.chain import load_robot
+    from aridcal.files.campaign import load_campaign
+    from aridcal.files.read import load_measurements
 
     clock.lap("imports")
     campaign = load_campaign(folder / "campaign.yaml")

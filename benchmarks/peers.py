@@ -42,11 +42,11 @@ from rich.table import Table
 from scipy.spatial.transform import Rotation
 from speed import ONE_THREAD, SERIES_B, TOP, load
 
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.dataset import Dataset
-from aridcal.model.reaching import draw_readings
-from aridcal.robot.chain import Robot
-from aridcal.robot.dh import modified_dh
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.dh import modified_dh
+from aridcal.engine.rows.dataset import Dataset
 
 PINNED = {
     "robotkinecal": ("robotkinecal==0.1.0", "roboticstoolbox-python==1.4.4", "spatialmath-python==1.1.18",

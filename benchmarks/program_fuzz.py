@@ -19,14 +19,14 @@ import numpy as np
 from programs_marked import attacks, cell_of, language_named, project_of
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import AridcalError
-from aridcal.programs.cell import Cell
-from aridcal.programs.language import Language
-from aridcal.programs.languages import LANGUAGES
-from aridcal.programs.project import Project
-from aridcal.programs.proof import Change, corrected, edited, meant
-from aridcal.programs.targets import Target
-from aridcal.programs.text import LARGEST, NUL, written
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.language import Language
+from aridcal.jobs.apply.programs.languages import LANGUAGES
+from aridcal.jobs.apply.programs.project import Project
+from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
+from aridcal.system.errors import AridcalError
 from fuzz.mutate import mutate
 
 TOLD_AFTER = 100_000

@@ -30,14 +30,14 @@ from made_programs import MAKERS, Made, path
 from programs_marked import cell_of
 from robots import ur10
 
-from aridcal.errors import AridcalError
-from aridcal.programs.branches import flange
-from aridcal.programs.cell import Cell
-from aridcal.programs.frames import read_frames
-from aridcal.programs.language import Language
-from aridcal.programs.languages import LANGUAGES, language_of
-from aridcal.programs.project import Project, Source, read_text
-from aridcal.programs.targets import Target
+from aridcal.jobs.apply.programs.branches import flange
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.frames import read_frames
+from aridcal.jobs.apply.programs.language import Language
+from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
+from aridcal.jobs.apply.programs.project import Project, Source, read_text
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.system.errors import AridcalError
 
 POINTS = 15
 

@@ -30,10 +30,10 @@ from rich.console import Console
 from rich.table import Table
 from target_correction import HOME
 
-from aridcal.programs.branches import flanges
-from aridcal.programs.notations import ABB, FANUC, KUKA, UR, YASKAWA
-from aridcal.programs.targets import Notation
-from aridcal.robot.chain import Robot
+from aridcal.engine.robot.chain import Robot
+from aridcal.jobs.apply.programs.branches import flanges
+from aridcal.jobs.apply.programs.notations import ABB, FANUC, KUKA, UR, YASKAWA
+from aridcal.jobs.apply.programs.targets import Notation
 
 BASE = "format: 1\nbases: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\ntools: {default: {xyz: [0, 0, 0], rpy: [0, 0, 0]}}\n"
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.chain import Robot, parse_robot
 
 FAMILIES = ("rail", "six", "seven", "scara", "gantry")
 """Those that `blind.py` draws from; its cases stay what they were while no other is added. There is "column" besides."""

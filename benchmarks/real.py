@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.cluster.hierarchy import fcluster, linkage
 
-from aridcal.inputs.campaign import load_campaign, nominal_robot
+from aridcal.files.campaign import load_campaign, nominal_robot
 
 HERE = Path(__file__).resolve().parents[1]
 DATA = HERE.parent / "shared" / "data"

@@ -26,15 +26,15 @@ import numpy as np
 from accuracy import ARID_FRAMES, NOISE, WRONG, arid, campaign_of, truth_of
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.least_squares import Fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import Fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.files.campaign import Campaign
+from aridcal.system.progress import SILENT
 
 TRAIN, JUDGED = 200, 1000  # rows along the rail
 VARIES = 1e-3  # RMS along the rail, [rad]

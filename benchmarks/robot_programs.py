@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 
 from aridcal.compensate import main as compensate
-from aridcal.programs.branches import controller, flange
+from aridcal.jobs.apply.programs.branches import controller, flange
 
 POINTS = 25
 

@@ -20,16 +20,15 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
 
-from aridcal.fit import normal_equations
-from aridcal.result import pipeline
-from aridcal.search import (
-    arm,
+from aridcal.engine.fit import normal_equations
+from aridcal.engine.search import (
+    candidates,
     confounded,
     diagnose,
     evidence,
     exact,
     grids,
-    hints,
+    loop,
     products,
     ranking,
     scoring,
@@ -38,6 +37,7 @@ from aridcal.search import (
     steps,
     stepwise,
 )
+from aridcal.jobs.calibrate import pipeline
 
 REPEATS = 20
 
@@ -142,13 +142,13 @@ def measure(campaign: Path) -> None:
         Kernel("judge", [steps, stepwise], None),
         Kernel("solve_state", [state, steps, diagnose], None),
         Kernel("best_steps", [ranking], None),
-        Kernel("hinted", [hints, ranking, steps], None),
+        Kernel("hinted", [candidates, ranking, steps], None),
         Kernel("regrown", [stepwise], None),
         Kernel("missed", [diagnose], None),
         Kernel("refit", [exact, diagnose], None),
-        Kernel("diagnose", [arm], None),
-        Kernel("noise_causes", [arm], None),
-        Kernel("told_apart", [arm], None),
+        Kernel("diagnose", [loop], None),
+        Kernel("noise_causes", [loop], None),
+        Kernel("told_apart", [loop], None),
         Kernel("calibrated_arm", [pipeline], None),
         Kernel("identify", [pipeline], None),
     ]

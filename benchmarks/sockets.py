@@ -22,16 +22,16 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from aridcal.fit.constants import station_labels
-from aridcal.fit.problem import problem
-from aridcal.inputs.approach import with_directions
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import load_measurements
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import load_robot
-from aridcal.search.arm import calibrated_arm, fit_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.fit.constants import station_labels
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.approach import with_directions
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.loop import calibrated_arm, fit_arm, fit_constants
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.system.progress import SILENT
 
 CAMPAIGN = Path(__file__).resolve().parent.parent / "identification" / "panda-sockets" / "campaign.yaml"
 PLACES = ("right", "front", "back-high")

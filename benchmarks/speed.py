@@ -34,18 +34,18 @@ from rich.console import Console
 from rich.table import Table
 from scipy.optimize import least_squares
 
-from aridcal.fit import stages
-from aridcal.fit.constants import constants
-from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset, with_sigma
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.instruments.channels import spread
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.fit import stages
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.engine.rows.dataset import Dataset, with_sigma
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 TOP = Path(__file__).resolve().parents[1]
@@ -209,7 +209,10 @@ def start_table(top: Path) -> Table:
     outcome = top / "outcome.pickle"
     pickled = f"import pickle; outcome = pickle.load(open({str(outcome)!r}, 'rb'))"
     outcome.write_bytes(pickle.dumps(identify(DEMO)))
-    drawing = "from aridcal.report.page import page; from aridcal.result.controllers import hand_over; made = hand_over(outcome)"
+    drawing = (
+        "from aridcal.pages.report.page import page; from aridcal.jobs.calibrate.controllers import hand_over"
+        "; made = hand_over(outcome)"
+    )
     jobs = {
         "python -c 'import numpy'": "import numpy",
         "aridcal --help": "from aridcal.__main__ import main; main(['--help'])",

@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 from calibrated import machine
 
-from aridcal.programs.branches import flanges
-from aridcal.programs.correct import correct
-from aridcal.programs.notations import UR
-from aridcal.programs.targets import Branch, Place, Target
-from aridcal.programs.text import Number, Numbers
-from aridcal.robot.chain import Robot
+from aridcal.engine.robot.chain import Robot
+from aridcal.jobs.apply.programs.branches import flanges
+from aridcal.jobs.apply.programs.correct import correct
+from aridcal.jobs.apply.programs.notations import UR
+from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.text import Number, Numbers
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
 

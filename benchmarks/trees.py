@@ -38,12 +38,12 @@ from rich.table import Table
 from tree_robot import Effect, Robot, built, urdf, with_errors
 from tree_ways import MARKS, SPOTS, WAYS, Seen, Tracker, Way
 
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import Fit
-from aridcal.fit.problem import Problem, problem
-from aridcal.fit.residual import linearise
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.fit.residual import linearise
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.system.errors import AridcalError
 
 TEST = 60
 SIZES = (3.0, 15.0)

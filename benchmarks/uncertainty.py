@@ -26,24 +26,24 @@ import robots
 from instrument_cases import TOP, WAYS, made, noisy, rows_of, scenario
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import AridcalError
-from aridcal.fit.constants import constants, station_labels
-from aridcal.fit.least_squares import fit
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import recentred
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.dataset import Dataset, with_sigma
-from aridcal.model.model import Model
-from aridcal.model.reaching import draw_readings
-from aridcal.result.pipeline import identify, score
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
-from aridcal.trust.certainty import certainty
-from aridcal.trust.region import wanted
-from aridcal.trust.uncertainty import with_noise_seen
-from aridcal.trust.workspace import knowledge
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants, station_labels
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import recentred
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import Model
+from aridcal.engine.rows.dataset import Dataset, with_sigma
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.engine.trust.certainty import certainty
+from aridcal.engine.trust.uncertainty import with_noise_seen
+from aridcal.engine.trust.workspace import knowledge
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.calibrate.pipeline import identify, score
+from aridcal.jobs.calibrate.region import wanted
+from aridcal.system.errors import AridcalError
+from aridcal.system.progress import SILENT
 
 NOISE = 1e-4
 """[m] and [rad]."""

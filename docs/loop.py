@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.drawing.figures import AFTER, BEFORE, below
-from aridcal.drawing.plot import GREY, INK, Area, Scale, dots, frame, level, stairs, text, whole
-from aridcal.effects.loads import covariate_table
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
+from aridcal.engine.corrections.loads import covariate_table
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.pages.drawing.figures import AFTER, BEFORE, below
+from aridcal.pages.drawing.plot import GREY, INK, Area, Scale, dots, frame, level, stairs, text, whole
 
 DOCS = Path(__file__).resolve().parent
 CAMPAIGN = DOCS.parent / "identification" / "arid-undeclared" / "campaign.yaml"

@@ -26,12 +26,12 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.robot.kinematics import gravity_loads, joint_frames, transverse, tree_frames
+from aridcal.engine.robot.kinematics import gravity_loads, joint_frames, transverse, tree_frames
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 DOCS = Path(__file__).resolve().parent
 OUT = DOCS / "images" / "effects"

@@ -13,28 +13,28 @@ from unittest.mock import patch
 
 import numpy as np
 
-from aridcal.boards.camera_file import CameraFile
-from aridcal.boards.pictures import grey_image
-from aridcal.errors import AridcalError, MeasurementError, RobotError
-from aridcal.exports.sniffing import look
-from aridcal.head.matching import NotMeasured
-from aridcal.head.shots import board, read_image, read_ranges, shots_of
-from aridcal.inputs.campaign import ArmSettings, Campaign, load_campaign
-from aridcal.inputs.head_settings import HeadSettings, load_shots, load_squares
-from aridcal.inputs.query import load_query
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.tables import read_tables
-from aridcal.inputs.things import load_places
-from aridcal.inputs.yaml_file import load_settings, parse_settings
-from aridcal.logs.bags import joint_log
-from aridcal.prepare.scenario import Scenario, check_scenario
-from aridcal.reading.files import TABLE, URDF, read_file
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot import expand
-from aridcal.robot.chain import Robot, chain, load_robot
-from aridcal.robot.doty import doty_links
-from aridcal.robot.splice import splice_origins
-from aridcal.robot.tree import read_tree
+from aridcal.engine.robot import expand
+from aridcal.engine.robot.chain import Robot, chain, load_robot
+from aridcal.engine.robot.doty import doty_links
+from aridcal.engine.robot.splice import splice_origins
+from aridcal.engine.robot.tree import read_tree
+from aridcal.files.campaign import ArmSettings, Campaign, load_campaign
+from aridcal.files.formats.sniffing import look
+from aridcal.files.query import load_query
+from aridcal.files.read import load_measurements
+from aridcal.files.tables import read_tables
+from aridcal.files.things import load_places
+from aridcal.files.yaml_file import load_settings, parse_settings
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots, load_squares
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.head1992.shots import board, read_image, read_ranges, shots_of
+from aridcal.jobs.merge.bags import joint_log
+from aridcal.jobs.print.camera_file import CameraFile
+from aridcal.jobs.print.grey_images import grey_image
+from aridcal.jobs.simulate.scenario import Scenario, check_scenario
+from aridcal.system.errors import AridcalError, MeasurementError, RobotError
+from aridcal.system.reading.regular_files import TABLE, URDF, read_file
 
 CORPUS = Path(__file__).parent / "corpus"
 """A folder of small files for each reader."""

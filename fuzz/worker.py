@@ -18,7 +18,7 @@ from random import Random
 import atheris
 
 with atheris.instrument_imports(include=["aridcal"], enable_loader_override=False):
-    from aridcal.errors import AridcalError
+    from aridcal.system.errors import AridcalError
     from fuzz.targets import CORPUS, TARGETS
 
 from fuzz.mutate import AFRESH, mutate

@@ -12,18 +12,18 @@ import robots
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import fit_identifiable
-from aridcal.fit.stages import recentred
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.instruments.catalogue import KINDS
-from aridcal.model.model import Model
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import Robot
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import fit_identifiable
+from aridcal.engine.fit.stages import recentred
+from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 NOISE = 5e-5
 """[m] and [rad]: of a laser tracker."""

@@ -14,8 +14,8 @@ import two_arms
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.splice import splice_origins, written_origins
 
 SIGMA = 1e-4
 """[m] and [rad] per axis."""

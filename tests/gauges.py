@@ -13,19 +13,19 @@ import robots
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.constants import constants
-from aridcal.head.found import Read
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.inputs.row_facts import ROLES, Labels
-from aridcal.instruments.catalogue import KINDS, labelled
-from aridcal.instruments.kind import Role
-from aridcal.instruments.pose import TRACKER
-from aridcal.instruments.setup import Block, Instruments, Things, Tie
-from aridcal.model.model import Model
-from aridcal.result import pipeline, reading
-from aridcal.result.outcome import Outcome
-from aridcal.robot.chain import Robot
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.instruments.kind import Role
+from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.pose import TRACKER
+from aridcal.engine.instruments.setup import Block, Instruments, Things, Tie
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.rows.row_facts import ROLES, Labels
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.jobs.calibrate import job_inputs, pipeline
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.head1992.observations import Read
 
 NOISE = {"position": 1e-4, "distance": 5e-5, "pixel": 0.2, "inclination": 2e-4, "rotation": 2e-4}
 SIZE = 5e-4
@@ -279,5 +279,5 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     """The rows through the whole pipeline, as if they had been read from a file."""
     job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(reading, "read_rows", lambda job, *_: Read(job, data))
+        patched.setattr(job_inputs, "read_rows", lambda job, *_: Read(job, data))
         return pipeline.identify(job)

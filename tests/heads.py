@@ -8,24 +8,24 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.stages import Geometry
-from aridcal.head.detections import shot_rows
-from aridcal.head.pose import Sonars
-from aridcal.head.render import Optics, read_sonars
-from aridcal.head.seen import head_of, start_anywhere
-from aridcal.head.square import layout
-from aridcal.inputs.campaign import Campaign, FrameSettings
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.inputs.head_settings import HeadSettings, load_squares
-from aridcal.inputs.yaml_file import load_settings, parse_settings
-from aridcal.instruments.camera import predict_pixels
-from aridcal.instruments.camera_sonar import Head, HeadShot
-from aridcal.model.model import Model
-from aridcal.prepare.viewpoints import draw_views
-from aridcal.robot.chain import load_robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.stages import Geometry
+from aridcal.engine.instruments.camera import predict_pixels
+from aridcal.engine.instruments.camera_sonar import Head, HeadShot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.files.campaign import Campaign, FrameSettings
+from aridcal.files.yaml_file import load_settings, parse_settings
+from aridcal.jobs.head1992.detections import shot_rows
+from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
+from aridcal.jobs.head1992.render import Optics, read_sonars
+from aridcal.jobs.head1992.shot_rows import head_of, start_anywhere
+from aridcal.jobs.head1992.square import layout
+from aridcal.jobs.head1992.square_pose import Sonars
+from aridcal.jobs.simulate.viewpoints import draw_views
+from aridcal.system.progress import SILENT
 
 ROOT = Path(__file__).resolve().parents[1]
 STRIP = ROOT / "identification" / "arid-strip"

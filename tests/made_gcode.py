@@ -1,6 +1,7 @@
 """G-code of gantries as it is written in shops, a controller that drives it, and gantries of which the truth is known.
 
-The controller knows nothing of ``aridcal.programs``: it reads letter by letter and keeps the place in machine coordinates.
+The controller knows nothing of ``aridcal.jobs.apply.programs``: it reads letter by letter and keeps the place in machine
+coordinates.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import numpy as np
 from calibrated import Machine, machine
 from made_programs import MARK, Made
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.robot.chain import Robot, parse_robot
 
 ZEROS = {"G54": (0.05, -0.1, 0.02), "G55": (-0.12, 0.2, 0.0), "G59": (0.0, 0.03, -0.04)}
 """[m]: where the zeros of axes are; G57 is not told to us, and left."""

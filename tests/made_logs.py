@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from aridcal.robot.chain import Robot
-from aridcal.robot.kinematics import tip_frames
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.kinematics import tip_frames
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from lxml import etree
 
-from aridcal.head.render import coverage
-from aridcal.instruments.camera import project
+from aridcal.engine.instruments.camera import project
+from aridcal.jobs.head1992.render import coverage
 
 INTRINSICS = np.array([900.0, 905.0, 485.0, 352.0, -0.12, 0.04, 0.001, -0.0007, 0.0])
 SIZE = (960, 720)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.chain import Robot, parse_robot
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from made_gcode import gantry
 from program_attacks import Attack
 from robots import ur10
 
-from aridcal.errors import AridcalError
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import read_frames
-from aridcal.programs.language import Language
-from aridcal.programs.languages import LANGUAGES, language_of
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Target
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.frames import read_frames
+from aridcal.jobs.apply.programs.language import Language
+from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.system.errors import AridcalError
 
 OPENS = {"⟦": "⟧", "⟨": "⟩"}
 

@@ -12,14 +12,14 @@ import pyarrow.csv
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.fit.constants import constants
-from aridcal.fit.problem import Problem, problem
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset, with_places, with_sigma
-from aridcal.inputs.yaml_file import parse_settings
-from aridcal.model.model import Frames, Model
-from aridcal.robot.chain import Robot, load_robot, parse_robot
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
+from aridcal.engine.rows.dataset import Dataset, dataset, with_places, with_sigma
+from aridcal.files.campaign import Campaign
+from aridcal.files.yaml_file import parse_settings
 
 URDF = Path(__file__).resolve().parents[1] / "urdf"
 SHARED_ROBOTS = Path(pin.__file__).resolve().parents[4] / "share" / "example-robot-data" / "robots"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aridcal.search.evidence import TAUS, likeliest, profiled
+from aridcal.engine.search.evidence import TAUS, likeliest, profiled
 
 
 def made(seed: int, n: int, d: int, fall: float, size: float) -> tuple[np.ndarray, np.ndarray]:

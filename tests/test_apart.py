@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import robots
 
-from aridcal.drawing.words import how_to_separate
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.pages.drawing.words import how_to_separate
 
 
 def effect(kind: str, where: str, of: str, component: str = "axis") -> Effect:

@@ -10,18 +10,18 @@ import pandas as pd
 import pytest
 import robots
 
-from aridcal.effects.catalogue import KINDS, candidates
-from aridcal.inputs.approach import approach, with_directions
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.dataset import dataset
-from aridcal.inputs.read import load_measurements
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.search.arm import fit_constants
-from aridcal.search.diagnose import look
+from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.rows.approach import approach, with_directions
+from aridcal.engine.rows.dataset import dataset
+from aridcal.engine.search.diagnose import look
+from aridcal.engine.search.loop import fit_constants
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.apply.target_poses import predict, read_query
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
 
 PLAY = 3e-4
 JOINT = 1

@@ -7,12 +7,12 @@ import pinocchio as pin
 import pytest
 from heads import MODEL, SETTINGS, START, T_TIP_CAMERA, THETA, Shots, calibrated, moved, poses, shots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.instruments.camera import predict_pixels, predict_ranges
-from aridcal.instruments.camera_sonar import COUNT, Head
-from aridcal.result.pipeline import judged
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.instruments.camera import predict_pixels, predict_ranges
+from aridcal.engine.instruments.camera_sonar import COUNT, Head
+from aridcal.jobs.calibrate.pipeline import judged
 
 
 def misfit(T: np.ndarray, given: Shots, head: Head) -> np.ndarray:

@@ -19,10 +19,10 @@ from plain_robots import ARMS
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.fit.constants import constants
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.corrections.loads import Surroundings, covariate_table
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
 
 HERE = ((None, pin.SE3.Identity()),)
 

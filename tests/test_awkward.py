@@ -16,18 +16,18 @@ from scipy.spatial.transform import Rotation
 
 import aridcal
 import aridcal.init
-from aridcal.errors import AridcalError, MeasurementError
-from aridcal.exports.makers import maker
-from aridcal.exports.numbers_seen import is_number, marks
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.tables import read_tables
-from aridcal.prepare.campaign_text import draft
-from aridcal.prepare.guesses import Unanswered, nobody
-from aridcal.reading.dates import orders, seconds
-from aridcal.reading.dialect import Dates, Dialect
-from aridcal.reading.files import Limit
-from aridcal.robot.chain import load_robot
+from aridcal.engine.robot.chain import load_robot
+from aridcal.files.campaign import load_campaign
+from aridcal.files.formats.makers import maker
+from aridcal.files.formats.numbers_seen import is_number, marks
+from aridcal.files.read import load_measurements
+from aridcal.files.tables import read_tables
+from aridcal.jobs.prepare.campaign_text import draft
+from aridcal.jobs.prepare.guesses import Unanswered, nobody
+from aridcal.system.errors import AridcalError, MeasurementError
+from aridcal.system.reading.dates import orders, seconds
+from aridcal.system.reading.dialect import Dates, Dialect
+from aridcal.system.reading.regular_files import Limit
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data" / "ur10-laser-tracker"
 

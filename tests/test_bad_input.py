@@ -19,8 +19,8 @@ import pytest
 import robots
 
 from aridcal import identify
-from aridcal.fit.least_squares import Fit
-from aridcal.result import pipeline
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.jobs.calibrate import pipeline
 
 OLD = "an earlier result"
 JOINTS = ["joint_1", "joint_2", "joint_3", "joint_4"]

@@ -22,16 +22,16 @@ from lxml import etree
 
 from aridcal import identify
 from aridcal.calibration import Calibration
-from aridcal.drawing import scene, shapes
-from aridcal.drawing.html import LONGEST, attempt, note, noting
-from aridcal.report import page
-from aridcal.result import pipeline
-from aridcal.result.controllers import Handover, hand_over
-from aridcal.result.outcome import Outcome
-from aridcal.result.saving import calibration
-from aridcal.robot import meshes
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.meshes import NotDrawable, read_meshes
+from aridcal.engine.robot import meshes
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.meshes import NotDrawable, read_meshes
+from aridcal.jobs.calibrate import pipeline
+from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.pages.drawing import robot_shapes, scene
+from aridcal.pages.drawing.html import LONGEST, attempt, note, noting
+from aridcal.pages.report import page
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 SLIVER = np.array([[0, 0, 0], [1, 0, 0], [1, 1e-5, 0]], float)
@@ -240,19 +240,19 @@ def dressed(robot: Robot, more: str, folder: Path) -> Robot:
 
 
 @pytest.fixture(scope="module")
-def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, tuple[shapes.Shape, ...], tuple[str, ...]]:
+def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]:
     """A robot with every bad picture at once, what is drawn of it, and what is said."""
     folder = tmp_path_factory.mktemp("attacked")
     put_files(folder)
     robot = dressed(bare(), links(), folder)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(shapes, "MOST_NOTICES", 1000)
+        patched.setattr(robot_shapes, "MOST_NOTICES", 1000)
         patched.setattr(meshes, "ROBOT_SECONDS", 3600)  # all are looked at, however busy the machine is
-        drawn, notices = shapes.robot_shapes(robot)
+        drawn, notices = robot_shapes.robot_shapes(robot)
     return robot, drawn, notices
 
 
-Attacked = tuple[Robot, tuple[shapes.Shape, ...], tuple[str, ...]]
+Attacked = tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]
 
 
 def test_there_are_attacks_enough() -> None:
@@ -298,7 +298,7 @@ def test_all_else_is_drawn(attacked: Attacked) -> None:
     red = [shape for shape in drawn if shape.colour == (1.0, 0.0, 0.0)]
     assert [shape.kind for shape in red] == ["mesh"]  # the textured one, in its material's colour
     assert (
-        sum(shape.colour == shapes.GREY for shape in drawn) == len(drawn) - 2
+        sum(shape.colour == robot_shapes.GREY for shape in drawn) == len(drawn) - 2
     )  # an OBJ without colours has its own grey
 
 
@@ -354,7 +354,7 @@ def test_a_reader_that_takes_much_memory_is_stopped(tmp_path: Path, monkeypatch:
 def test_a_reader_dies_with_the_command_that_started_it(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "endless.stl")
     code = "\n".join([
-        "import sys; from pathlib import Path; from aridcal.robot import meshes",
+        "import sys; from pathlib import Path; from aridcal.engine.robot import meshes",
         "meshes.FILE_SECONDS = 3600",  # by itself it would not end while we wait
         "meshes.read_meshes([Path(sys.argv[1])])",
     ])  # fmt: skip
@@ -427,11 +427,11 @@ def test_a_module_beside_the_robot_is_not_run(tmp_path: Path, monkeypatch: pytes
 def test_a_robot_of_very_many_shapes_is_drawn_in_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "good.stl").write_bytes(stl(*20 * [TRIANGLE]))
     robot = dressed(bare(), link("many", *3000 * [BALL]), tmp_path)
-    drawn, notices = shapes.robot_shapes(robot)
-    assert len(drawn) == shapes.MOST_SHAPES
+    drawn, notices = robot_shapes.robot_shapes(robot)
+    assert len(drawn) == robot_shapes.MOST_SHAPES
     assert notices == ("of 3,000 visuals only the first 2,000 are drawn",)
-    monkeypatch.setattr(shapes, "MOST_TRIANGLES", 50)
-    drawn, notices = shapes.robot_shapes(dressed(bare(), link("many", *4 * [mesh("good.stl")]), tmp_path))
+    monkeypatch.setattr(robot_shapes, "MOST_TRIANGLES", 50)
+    drawn, notices = robot_shapes.robot_shapes(dressed(bare(), link("many", *4 * [mesh("good.stl")]), tmp_path))
     assert len(drawn) == 2 and len(notices) == 1
     assert "50 triangles" in notices[0]
 
@@ -478,7 +478,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = page.page(outcome, handover)
-    monkeypatch.setattr("aridcal.report.fit_section._axis_table", fails(ZeroDivisionError("oops")))
+    monkeypatch.setattr("aridcal.pages.report.fit_section._axis_table", fails(ZeroDivisionError("oops")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")
     assert len(notices) == 1
@@ -495,7 +495,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
 def test_a_figure_that_fails_is_a_line_in_its_place(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.drawing.figures.legend", fails(ValueError("no legend")))
+    monkeypatch.setattr("aridcal.pages.drawing.figures.legend", fails(ValueError("no legend")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
     body = etree.HTML((tmp_path / "report.html").read_text("utf-8"))
     assert len(notices) >= 3
@@ -536,8 +536,8 @@ def test_python_users_lose_no_file_and_are_warned_of_what_is_missing(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = Calibration(calibration(outcome), outcome)
-    monkeypatch.setattr("aridcal.drawing.scene.scene_content", fails(ZeroDivisionError("oops")))
-    monkeypatch.setattr("aridcal.report.page._chapters", fails(ZeroDivisionError("no report")))
+    monkeypatch.setattr("aridcal.pages.drawing.scene.scene_content", fails(ZeroDivisionError("oops")))
+    monkeypatch.setattr("aridcal.pages.report.page._chapters", fails(ZeroDivisionError("no report")))
     with pytest.warns(UserWarning, match=r"scene\.html is not drawn: ZeroDivisionError: oops"):
         shown = found.scene(tmp_path / "there.html")
     assert "oops" in shown.html == (tmp_path / "there.html").read_text("utf-8")
@@ -576,7 +576,7 @@ def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
 def test_names_that_utf_8_has_not_are_written_somehow(
     outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.report.page._chapters", lambda *_: [])
+    monkeypatch.setattr("aridcal.pages.report.page._chapters", lambda *_: [])
     odd = replace(outcome, measurements=outcome.measurements.with_origin(files=(Path(os.fsdecode(b"m\xff.csv")),)))
     assert page.write_report(odd, handover, tmp_path / "report.html") == ()
     assert "m\\udcff.csv" in (tmp_path / "report.html").read_text("utf-8")
@@ -585,8 +585,8 @@ def test_names_that_utf_8_has_not_are_written_somehow(
 def test_a_thinned_scene_keeps_the_flagged_rows_and_says_so(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.drawing.thinned.MOST_DRAWN", 20)
-    monkeypatch.setattr("aridcal.drawing.thinned.SOUND_DRAWN", 4)
+    monkeypatch.setattr("aridcal.pages.drawing.thinned.MOST_DRAWN", 20)
+    monkeypatch.setattr("aridcal.pages.drawing.thinned.SOUND_DRAWN", 4)
     odd = np.isin(np.arange(len(outcome.outlier)), [1, 2, 5, 7, len(outcome.outlier) - 1])
     drawn = scene.scene(replace(outcome, outlier=odd))
     assert sorted(drawn.line[drawn.outlier].tolist()) == sorted(outcome.measurements.origin.line[odd].tolist())

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.errors import AridcalError
-from aridcal.model.model import Model
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import parse_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.system.errors import AridcalError
 
 
 def example(urdf: bytes | None = None) -> SavedModel:

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 from heads import MODEL, SETTINGS, START, THETA, calibrated, look, moved, poses, shots, views
 
-from aridcal.head.detections import shot_rows
-from aridcal.head.pose import NO_SONARS
-from aridcal.head.seen import head_of, start_anywhere
-from aridcal.instruments.camera_sonar import CAMERA_SONAR, Head, HeadShot, Reduced, packed, reduced, unpacked
+from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR, Head, HeadShot, Reduced, packed, reduced, unpacked
+from aridcal.jobs.head1992.detections import shot_rows
+from aridcal.jobs.head1992.shot_rows import head_of, start_anywhere
+from aridcal.jobs.head1992.square_pose import NO_SONARS
 
 BENT = moved(camera_k1=-0.03, camera_p1=0.001, camera_fx=3.0, sonar_2_bias=2e-3, sonar_4_scale=0.01)
 STEPS = np.array([1e-2, 1e-2, 1e-2, 1e-2, 1e-5, 1e-4, 1e-6, 1e-6, 1e-4] + [1e-5] * 4 + [1e-4] * 4)

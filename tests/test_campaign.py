@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from aridcal.effects.catalogue import KINDS
-from aridcal.errors import CampaignError
-from aridcal.inputs.campaign import Campaign, Job, load_campaign
-from aridcal.inputs.measurement_settings import LENGTHS
-from aridcal.inputs.yaml_file import Section, load_settings, parse_settings
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.files.campaign import Campaign, Job, load_campaign
+from aridcal.files.measurement_settings import LENGTHS
+from aridcal.files.yaml_file import Section, load_settings, parse_settings
+from aridcal.system.errors import CampaignError
 
 SMALLEST = "format: 1\nrobot: {urdf: robot.urdf, tip: flange}\nmeasurements: {file: m.csv}\n"
 

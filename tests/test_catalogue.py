@@ -14,8 +14,8 @@ import pytest
 import robots
 import yaml
 
-from aridcal.effects.basis import FORMS, Basis, evaluate, evaluated
-from aridcal.effects.catalogue import (
+from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, evaluated
+from aridcal.engine.corrections.catalogue import (
     KINDS,
     candidates,
     declared,
@@ -23,17 +23,17 @@ from aridcal.effects.catalogue import (
     kinds_table,
     usable_columns,
 )
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.effects.kinds import Kind, Observed
-from aridcal.effects.labels import STATION, label_columns
-from aridcal.effects.loads import Payload, Surroundings, covariate_table
-from aridcal.effects.sights import TARGET, Sights, sight_table
-from aridcal.head.detections import head_things
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.corrections.effect_kind import Kind, Observed
+from aridcal.engine.corrections.labels import STATION, label_columns
+from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
+from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
+from aridcal.engine.instruments.camera_sonar import Head
+from aridcal.engine.model.model import Model
+from aridcal.files.campaign import EffectDeclaration, Job
+from aridcal.files.yaml_file import parse_settings
 from aridcal.identify import main as identify
-from aridcal.inputs.campaign import EffectDeclaration, Job
-from aridcal.inputs.yaml_file import parse_settings
-from aridcal.instruments.camera_sonar import Head
-from aridcal.model.model import Model
+from aridcal.jobs.head1992.detections import head_things
 from aridcal.simulate import main as simulate
 
 AXIS, ACROSS, FRAME = {"axis"}, {"t1", "t2", "r1", "r2"}, {"x", "y", "z", "roll", "pitch", "yaw"}

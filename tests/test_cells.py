@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import aridcal
 from aridcal import identify
-from aridcal.errors import AridcalError
+from aridcal.system.errors import AridcalError
 
 LIMIT = 1.3
 """Held-out errors of a fifth of 200 rows or more scatter by less."""

@@ -18,22 +18,22 @@ import yaml
 from lxml import html
 
 from aridcal.calibration import Calibration
-from aridcal.drawing.html import join
-from aridcal.drawing.one_page import OnePage, as_html
-from aridcal.errors import CampaignError
+from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR
+from aridcal.engine.instruments.setup import Block
+from aridcal.files.purposes import About
 from aridcal.identify import main as identify_main
-from aridcal.inputs.purposes import About
-from aridcal.instruments.camera_sonar import CAMERA_SONAR
-from aridcal.instruments.setup import Block
-from aridcal.jobs.result_folder import RESULT_FILES
-from aridcal.report import certificate as module
-from aridcal.report.certificate import FILES, certificate, write_certificate
-from aridcal.report.iso_section import iso
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.saving import calibration
-from aridcal.result.verdict import Verdict
-from aridcal.wording import number
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.calibrate.verdict import Verdict
+from aridcal.pages import certificate as module
+from aridcal.pages.certificate import FILES, certificate, write_certificate
+from aridcal.pages.drawing.html import join
+from aridcal.pages.drawing.one_page import OnePage, as_html
+from aridcal.pages.report.iso_section import iso
+from aridcal.runs.result_folder import RESULT_FILES
+from aridcal.system.errors import CampaignError
+from aridcal.system.wording import number
 
 ISSUED = datetime.date(2026, 11, 22)
 ABOUT = {

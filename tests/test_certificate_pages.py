@@ -14,8 +14,8 @@ import pypdfium2
 import pytest
 from lxml import html
 
-from aridcal.drawing import one_page
-from aridcal.drawing.one_page import MARGIN, POINTS_PER_MM, OnePage, Part, advance, as_html, as_pdf, wrapped
+from aridcal.pages.drawing import one_page
+from aridcal.pages.drawing.one_page import MARGIN, POINTS_PER_MM, OnePage, Part, advance, as_html, as_pdf, wrapped
 
 LONG, PARAGRAPH = 120, 500
 """Letters that a campaign may state."""

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from aridcal.effects.basis import Basis, evaluate
-from aridcal.effects.effect import ROW_ORDER, Coefficient, Effect
-from aridcal.fit.flags import OUTLIER
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.search.change_points import (
+from aridcal.engine.corrections.basis import Basis, evaluate
+from aridcal.engine.corrections.effect import ROW_ORDER, Coefficient, Effect
+from aridcal.engine.fit.flags import OUTLIER
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.search.change_points import (
     COARSE,
     LENGTHS,
     SIDE,
@@ -22,12 +22,12 @@ from aridcal.search.change_points import (
     step_points,
     walk_instead,
 )
-from aridcal.search.evidence import NOTHING
-from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import DOUBT, judge, score_of
-from aridcal.search.screening import score_all
-from aridcal.search.sets import Choices
-from aridcal.search.state import State, activate, solve_state
+from aridcal.engine.search.evidence import NOTHING
+from aridcal.engine.search.linear_model import LinearModel
+from aridcal.engine.search.scoring import DOUBT, judge, score_of
+from aridcal.engine.search.screening import score_all
+from aridcal.engine.search.sets import Choices
+from aridcal.engine.search.state import State, activate, solve_state
 
 SLOTS = (("world_base", "x"), ("world_base", "y"), ("world_base", "roll"), ("j1", "axis"), ("tip_target", "z"))
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.fit.flags import OUTLIER, QUANTILES, distance, flagged, robust_sigma, usual_norms
-from aridcal.fit.normal_equations import accumulate
-from aridcal.instruments.channels import (
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.fit.flags import OUTLIER, QUANTILES, distance, flagged, robust_sigma, usual_norms
+from aridcal.engine.fit.normal_equations import accumulate
+from aridcal.engine.instruments.channels import (
     TARGET_POSITION,
     TARGET_ROTATION,
     Channel,
@@ -20,11 +20,11 @@ from aridcal.instruments.channels import (
     norms,
     spread,
 )
-from aridcal.search.evidence import solve
-from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import refine
-from aridcal.search.screening import score_all
-from aridcal.search.state import activate, solve_state
+from aridcal.engine.search.evidence import solve
+from aridcal.engine.search.linear_model import LinearModel
+from aridcal.engine.search.scoring import refine
+from aridcal.engine.search.screening import score_all
+from aridcal.engine.search.state import activate, solve_state
 
 FORCE = Channel("force", "N", ("f",), "mN", 1e3, "force error")
 WIRES = Channel("wire", "m", ("w1", "w2"), "mm", 1e3, "wire error")

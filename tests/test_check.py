@@ -20,21 +20,21 @@ from scipy.stats import chi2, multivariate_normal, multivariate_t
 from test_simulate_instruments import scenario
 
 from aridcal.__main__ import main
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.tails import Tails
-from aridcal.inputs.dataset import Dataset
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.folder import write_results
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.trust.wander import Wander, wandering
-from aridcal.upkeep.bounds import FALSE_ALARMS, bounds
-from aridcal.upkeep.checking import asked, check
-from aridcal.upkeep.evidence import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
-from aridcal.upkeep.new_rows import Noise, freedom_of, known_noise
-from aridcal.upkeep.suspects import suspects, widened
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.tails import Tails
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.wander import Wander, wandering
+from aridcal.jobs.calibrate.folder import write_results
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS, bounds
+from aridcal.jobs.maintain.checking import asked, check
+from aridcal.jobs.maintain.hypotheses import suspects, widened
+from aridcal.jobs.maintain.likelihoods import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
+from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 NAMES = robots.ur10().readings
 

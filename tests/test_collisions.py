@@ -9,13 +9,13 @@ import pinocchio as pin
 import pytest
 import robots
 
-from aridcal.inputs.campaign import load_campaign
-from aridcal.model.reaching import draw_readings
-from aridcal.planning import design as planning
-from aridcal.planning.beforehand import beforehand
-from aridcal.planning.design import Asked, design
-from aridcal.robot.chain import Robot, load_robot, parse_robot
-from aridcal.robot.collisions import bodies_of, touches
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
+from aridcal.engine.robot.collisions import bodies_of, touches
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.beforehand import beforehand
+from aridcal.jobs.plan.pose_design import Asked, design
 
 LENGTHS, RADIUS = (0.5, 0.4, 0.4), 0.1
 

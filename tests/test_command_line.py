@@ -20,9 +20,9 @@ import aridcal
 from aridcal.__main__ import COMMANDS
 from aridcal.__main__ import main as aridcal_main
 from aridcal.command_line import command, command_parser, run, screens
-from aridcal.errors import AridcalError
-from aridcal.interrupt import is_command
-from aridcal.showing import Screen
+from aridcal.system.errors import AridcalError
+from aridcal.system.interrupt import is_command
+from aridcal.system.progress import Screen
 
 
 def raising(error: BaseException):

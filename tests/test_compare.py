@@ -14,17 +14,17 @@ from calibrated import NOISE, Machine, jump, machine
 from scipy.stats import kstest
 
 from aridcal.__main__ import main
-from aridcal.ageing.changes import causes
-from aridcal.ageing.comparison import compare, lines
-from aridcal.ageing.difference import Difference, difference
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import fit_identifiable
-from aridcal.fit.stages import recentred
-from aridcal.model.model import Model
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import fit_identifiable
+from aridcal.engine.fit.stages import recentred
+from aridcal.engine.model.model import Model
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.history.changes import causes
+from aridcal.jobs.history.comparison import compare, lines
+from aridcal.jobs.history.difference import Difference, difference
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.system.errors import AridcalError
 
 NAMES = robots.ur10().readings
 

@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 
 from aridcal import compensate, predict
 from aridcal.calibration import Calibration
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.errors import MeasurementError
-from aridcal.fit.constants import constants
-from aridcal.inputs.approach import approach
-from aridcal.inputs.query import load_query
-from aridcal.model.model import Model
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import Robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.approach import approach
+from aridcal.files.query import load_query
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.system.errors import MeasurementError
 
 POSE = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 BACKLASH = Coefficient("elbow_joint", "axis", Basis("linear", ("elbow_joint_direction",), (0.0,)))

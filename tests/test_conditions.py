@@ -11,9 +11,9 @@ import pytest
 import robots
 
 import aridcal
-from aridcal.model.model import Model
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import Robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.jobs.calibrate.saved_model import SavedModel
 
 HEAT = 12e-6
 """[1/K] by which steel grows."""

@@ -13,12 +13,12 @@ from rich.table import Table
 
 from aridcal.__main__ import main
 from aridcal.command_line import run, screens
-from aridcal.drawing.frame import filled
-from aridcal.drawing.html import tag
-from aridcal.drawing.plot import text
-from aridcal.errors import AridcalError, printable_lines
-from aridcal.showing import told_on
-from aridcal.writing.tables import write_table
+from aridcal.pages.drawing.frame import filled
+from aridcal.pages.drawing.html import tag
+from aridcal.pages.drawing.plot import text
+from aridcal.system.errors import AridcalError, printable_lines
+from aridcal.system.progress import told_on
+from aridcal.system.writing.table_writer import write_table
 
 HOSTILE = "a\x1b[2J\x1b]0;title\x07b\x9bc\u2028d\re"
 SPELT = "a\\x1b[2J\\x1b]0;title\\x07b\\x9bc\\u2028d\\re"

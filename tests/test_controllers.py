@@ -13,15 +13,15 @@ import pytest
 import robots
 import yaml
 
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.model.model import Model
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.report.limits_section import use
-from aridcal.result.controllers import Handover, hand_over, write_controllers
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import parse_robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.controllers import Handover, hand_over, write_controllers
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.pages.report.limits_section import use
 
 NAMES = ("nominal", "joint offsets alone", "URDF alone", "+ joint maps", "full model")
 

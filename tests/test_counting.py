@@ -17,12 +17,12 @@ from test_other_readings import XYZ, Q, Spoil, counted, inverted, machine
 import aridcal
 import aridcal.identify
 import aridcal.init
-from aridcal.errors import CampaignError
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.inputs.counting import counting
-from aridcal.inputs.read import load_measurements
-from aridcal.planning.design import joint_table
-from aridcal.trust.region import corners
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.files.counting import counting
+from aridcal.files.read import load_measurements
+from aridcal.jobs.calibrate.region import corners
+from aridcal.jobs.plan.pose_design import joint_table
+from aridcal.system.errors import CampaignError
 
 ROWS = 50
 """To calibrate with; the rest are new rows."""

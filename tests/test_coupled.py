@@ -14,21 +14,21 @@ import robots
 import yaml
 
 from aridcal import compensate, identify, predict
-from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import KINDS, candidates
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.errors import AridcalError
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.result import pipeline
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.drive import Stated
-from aridcal.robot.kinematics import carried_bodies, tip_frames, tree_frames
-from aridcal.trust.regions import _place
-from aridcal.upkeep.new_rows import read_new_rows
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.loads import Surroundings, covariate_table
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.kinematics import carried_bodies, tip_frames, tree_frames
+from aridcal.engine.trust.regions import _place
+from aridcal.jobs.calibrate import pipeline
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.system.errors import AridcalError
 
 WAIST, KNUCKLE = "joint_2", "joint_5"
 STANDS = 0.4

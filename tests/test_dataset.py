@@ -13,13 +13,13 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import CampaignError, MeasurementError
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.inputs.query import load_query
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.repeats import blocks
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.rows.repeats import blocks
+from aridcal.files.campaign import Campaign
+from aridcal.files.query import load_query
+from aridcal.files.read import load_measurements
+from aridcal.system.errors import CampaignError, MeasurementError
 
 JOINTS = ("rail", "shoulder", "wrist")
 KINDS = ("prismatic", "revolute", "continuous")

@@ -18,14 +18,14 @@ import yaml
 
 import aridcal
 from aridcal import identify, init, simulate
-from aridcal.errors import RobotError
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.model.model import Model
-from aridcal.reading.files import Limit
-from aridcal.robot import expand, named
-from aridcal.robot.chain import load_robot, parse_robot
-from aridcal.robot.expand import is_xacro, read_urdf
-from aridcal.robot.packages import find_package
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot import expand, named
+from aridcal.engine.robot.chain import load_robot, parse_robot
+from aridcal.engine.robot.expand import is_xacro, read_urdf
+from aridcal.engine.robot.packages import find_package
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.system.errors import RobotError
+from aridcal.system.reading.regular_files import Limit
 
 HEAD = '<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 
@@ -226,7 +226,7 @@ def test_xacro_writes_nothing(tmp_path: Path) -> None:
 def test_the_process_that_expands_can_write_no_byte(tmp_path: Path) -> None:
     """The attack: an expression got out after all."""
     attack = (
-        "from aridcal.robot.expand import _within_limits; _within_limits(5)\n"
+        "from aridcal.engine.robot.expand import _within_limits; _within_limits(5)\n"
         f"file = open({str(tmp_path / 'mark')!r}, 'w')\ntry:\n    file.write('x' * 10_000); file.flush()\n"
         "except OSError as error:\n    print('refused', error.errno)\n"
     )

@@ -12,24 +12,24 @@ import pytest
 import robots
 
 from aridcal import design as command
-from aridcal.errors import AridcalError, CampaignError, MeasurementError
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.purposes import Box
-from aridcal.inputs.read import load_measurements
-from aridcal.planning import design as planning
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import draw_candidates, targets_of
-from aridcal.planning.clearance import crosses
-from aridcal.planning.coverage import observability
-from aridcal.planning.design import Asked, Plan, as_table, design, question
-from aridcal.planning.exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
-from aridcal.planning.region import region, region_readings
-from aridcal.planning.travel import length, short_order, times
-from aridcal.robot.chain import load_robot
-from aridcal.robot.kinematics import joint_frames
-from aridcal.search.arm import fit_constants
-from aridcal.trust.uncertainty import target_sigma
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.robot.kinematics import joint_frames
+from aridcal.engine.search.loop import fit_constants
+from aridcal.engine.trust.uncertainty import target_sigma
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.purposes import Box
+from aridcal.files.read import load_measurements
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.clearance import crosses
+from aridcal.jobs.plan.configurations import draw_candidates, targets_of
+from aridcal.jobs.plan.plan_coverage import observability
+from aridcal.jobs.plan.pose_design import Asked, Plan, as_table, design, question
+from aridcal.jobs.plan.row_exchange import Choice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
+from aridcal.jobs.plan.target_region import region, region_readings
+from aridcal.jobs.plan.travel import length, short_order, times
+from aridcal.system.errors import AridcalError, CampaignError, MeasurementError
 
 POSE = "kind: pose, noise: {position: 1.0e-4, rotation: 1.0e-4}"
 TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.drawing.figures import falling
-from aridcal.inputs.campaign import load_campaign
-from aridcal.model.reaching import limits_of
-from aridcal.planning import design as planning
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import allowed, draw_candidates
-from aridcal.planning.coverage import Sigma, suspects
-from aridcal.planning.design import Asked, Plan, design, question
-from aridcal.planning.exchange import best_choice
-from aridcal.planning.refine import Refined, refined
-from aridcal.planning.region import region_readings
-from aridcal.planning.suspects import USUAL, with_stated_effects, with_usual_effects
-from aridcal.planning.telling import rows_of
-from aridcal.report.plan_page import plan_page, worth
-from aridcal.robot.chain import load_robot
+from aridcal.engine.inverse.reachable import limits_of
+from aridcal.engine.robot.chain import load_robot
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.configurations import allowed, draw_candidates
+from aridcal.jobs.plan.information import rows_of
+from aridcal.jobs.plan.plan_coverage import Sigma, suspects
+from aridcal.jobs.plan.pose_design import Asked, Plan, design, question
+from aridcal.jobs.plan.refine import Refined, refined
+from aridcal.jobs.plan.row_exchange import best_choice
+from aridcal.jobs.plan.target_region import region_readings
+from aridcal.jobs.plan.usual_effects import USUAL, with_stated_effects, with_usual_effects
+from aridcal.pages.drawing.figures import falling
+from aridcal.pages.plan_page import plan_page, worth
 
 POSE = "kind: pose, noise: {position: 1.0e-4, rotation: 1.0e-4}"
 TOOL = "frames: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"

@@ -13,16 +13,16 @@ import yaml
 
 import aridcal
 from aridcal import design as command
-from aridcal.errors import OutputError
-from aridcal.inputs.approach import approach
-from aridcal.inputs.campaign import load_campaign
-from aridcal.planning import design as planning
-from aridcal.planning.approaches import BACK_ANGLE, as_they_come, from_both_sides
-from aridcal.planning.beforehand import beforehand
-from aridcal.planning.candidates import targets_of
-from aridcal.planning.design import Asked, as_table, design
-from aridcal.planning.programs import PROGRAMS, Moves, check_program, moves, program
-from aridcal.robot.chain import load_robot
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.approach import approach
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.approaches import BACK_ANGLE, as_they_come, from_both_sides
+from aridcal.jobs.plan.beforehand import beforehand
+from aridcal.jobs.plan.configurations import targets_of
+from aridcal.jobs.plan.joint_moves import PROGRAMS, Moves, check_program, moves, program
+from aridcal.jobs.plan.pose_design import Asked, as_table, design
+from aridcal.system.errors import OutputError
 
 SIX = 6 * ("revolute",)
 TURN = np.array([[-3.0, 3.0]] * 6)

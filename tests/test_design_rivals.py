@@ -12,18 +12,18 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import design as command
-from aridcal.inputs.campaign import load_campaign
-from aridcal.planning import design as planning
-from aridcal.planning import rivals
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import Candidates, draw_candidates, rows_like
-from aridcal.planning.design import Asked, design
-from aridcal.planning.rivals import Duel, duel_lines
-from aridcal.planning.suspects import with_pair
-from aridcal.planning.telling import so_far, told, whitened
-from aridcal.report.plan_page import plan_page
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import load_robot
+from aridcal.engine.robot.chain import load_robot
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.plan import discrimination
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.configurations import Candidates, draw_candidates, rows_like
+from aridcal.jobs.plan.discrimination import Duel, duel_lines
+from aridcal.jobs.plan.information import so_far, told, whitened
+from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.usual_effects import with_pair
+from aridcal.pages.plan_page import plan_page
 
 PAIR = ("shoulder_lift_joint.joint_compliance", "shoulder_lift_joint.joint_gain")
 POSTURE = (0.3, -1.2, 1.4, -0.6, 1.1, 0.4)
@@ -146,12 +146,12 @@ def test_the_choice_is_the_best_by_every_single_exchange() -> None:
     rng = np.random.default_rng(0)
     rows = rng.standard_normal((40, 2, 6)) * rng.uniform(0.2, 2.0, (40, 1, 1))
     sides = [
-        rivals._Side(np.array([0, 1, 2, 3]), 1, np.eye(1), ("a", "b"), (0, 1)),
-        rivals._Side(np.array([0, 1, 3, 2]), 1, 4 * np.eye(1), ("b", "a"), (1, 0)),
-        rivals._Side(np.array([0, 1, 4, 5, 2]), 1, np.eye(1), ("b", "c"), (1, 2)),
-        rivals._Side(np.array([0, 1, 3, 4, 5]), 2, np.eye(2), ("c", "a"), (0, 2)),
+        discrimination._Side(np.array([0, 1, 2, 3]), 1, np.eye(1), ("a", "b"), (0, 1)),
+        discrimination._Side(np.array([0, 1, 3, 2]), 1, 4 * np.eye(1), ("b", "a"), (1, 0)),
+        discrimination._Side(np.array([0, 1, 4, 5, 2]), 1, np.eye(1), ("b", "c"), (1, 2)),
+        discrimination._Side(np.array([0, 1, 3, 4, 5]), 2, np.eye(2), ("c", "a"), (0, 2)),
     ]
-    chosen = rivals._exchanged(rows, 0.01 * np.eye(6), sides, 6)
+    chosen = discrimination._exchanged(rows, 0.01 * np.eye(6), sides, 6)
     assert len(set(chosen)) == 6
 
     def cost(some: list[int]) -> float:

@@ -10,18 +10,18 @@ import pinocchio as pin
 import pytest
 import robots
 
-from aridcal.errors import AridcalError, CampaignError
-from aridcal.inputs.campaign import load_campaign
-from aridcal.model.reaching import draw_readings
-from aridcal.planning import design as planning
-from aridcal.planning.beforehand import Beforehand, beforehand
-from aridcal.planning.candidates import draw_candidates, in_base, in_sight, targets_of
-from aridcal.planning.clearance import apart
-from aridcal.planning.design import Asked, design
-from aridcal.planning.region import region_readings
-from aridcal.planning.telling import _whitened, problem
-from aridcal.robot.chain import load_robot
-from aridcal.robot.collisions import lines_touch
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.robot.collisions import lines_touch
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.plan import pose_design as planning
+from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.clearance import apart
+from aridcal.jobs.plan.configurations import draw_candidates, in_base, in_sight, targets_of
+from aridcal.jobs.plan.information import _whitened, problem
+from aridcal.jobs.plan.pose_design import Asked, design
+from aridcal.jobs.plan.target_region import region_readings
+from aridcal.system.errors import AridcalError, CampaignError
 
 POSE = "kind: pose, noise: {position: 1.0e-4, rotation: 1.0e-4}"
 TOOL = "diagnosis: {enabled: false}\nframes: {tip_target: {xyz: [0.05, 0.03, 0.15]}}\n"

@@ -15,14 +15,14 @@ import pandas as pd
 import pytest
 import robots
 
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.tables import AnyTable
-from aridcal.result.folder import residual_table, result_document
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import load_robot
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.files.tables import AnyTable
+from aridcal.jobs.calibrate.folder import residual_table, result_document
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
 
 HOME = Path(__file__).resolve().parents[1]
 UNDECLARED, PLAIN = (HOME / "identification" / name / "campaign.yaml" for name in ("arid-undeclared", "arid"))

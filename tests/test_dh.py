@@ -6,9 +6,9 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from aridcal.robot.chain import load_robot, parse_robot
-from aridcal.robot.dh import kinematics_yaml, modified_dh, standard_dh
-from aridcal.robot.splice import splice_origins
+from aridcal.engine.robot.chain import load_robot, parse_robot
+from aridcal.engine.robot.dh import kinematics_yaml, modified_dh, standard_dh
+from aridcal.engine.robot.splice import splice_origins
 
 PUBLIC = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")
 OURS = Path(__file__).parents[1] / "urdf"

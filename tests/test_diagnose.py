@@ -16,12 +16,12 @@ import robots
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.outcome import Outcome, errors
-from aridcal.result.pipeline import identify
-from aridcal.search.diagnose import SEARCHED
+from aridcal.engine.search.diagnose import SEARCHED
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.outcome import Outcome, errors
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 ARID = Path(__file__).parent.parent / "urdf" / "arid.urdf"
 SIGMA = 1e-4

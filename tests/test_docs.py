@@ -19,8 +19,8 @@ import pytest
 import yaml
 
 from aridcal.__main__ import COMMANDS
-from aridcal.effects.catalogue import KINDS
-from aridcal.effects.smooth import Kernel
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.smooth import Kernel
 
 TOP = Path(__file__).resolve().parents[1]
 DOCS = TOP / "docs"
@@ -34,16 +34,16 @@ PAGES = [
 
 SEARCH_PAGE = DOCS / "how-the-search-works.md"
 THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
-DECIDING_ROOMS = ("effects", "fit", "search", "trust")
+DECIDING_ROOMS = ("engine/corrections", "engine/fit", "engine/search", "engine/trust")
 OTHER_DECIDERS = (
-    "result/gravity_direction",
-    "result/groups",
-    "result/pipeline",
-    "result/reading",
-    "inputs/split",
-    "inputs/repeats",
+    "jobs/calibrate/gravity_direction",
+    "jobs/calibrate/groups",
+    "jobs/calibrate/pipeline",
+    "jobs/calibrate/job_inputs",
+    "engine/rows/split",
+    "engine/rows/repeats",
 )
-GEOMETRY = ("robot/doty1992",)
+GEOMETRY = ("engine/robot/doty1992",)
 
 
 def text_of(page: Path) -> str:
@@ -75,9 +75,9 @@ def test_every_link_leads_somewhere(page):
 
 def test_the_code_that_conventions_show_for_an_equation_is_there():
     text = (DOCS / "conventions.md").read_text("utf-8")
-    named = set(re.findall(r"`(head|instruments)\.(\w+)\.(\w+)`", text))
+    named = set(re.findall(r"`((?:jobs\.head1992|engine\.instruments)\.\w+)\.(\w+)`", text))
     assert len(named) > 4
-    assert [part for part in sorted(named) if not hasattr(module_of(f"{part[0]}/{part[1]}"), part[2])] == []
+    assert [part for part in sorted(named) if not hasattr(import_module(f"aridcal.{part[0]}"), part[1])] == []
     tests = set(re.findall(r"test_\w+\.py", text))
     assert [name for name in sorted(tests) if not (TOP / "tests" / name).is_file()] == []
 

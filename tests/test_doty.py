@@ -7,9 +7,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.robot.chain import Joint, Robot, load_robot
-from aridcal.robot.doty import COMPONENTS, Link, align, axis_to_link, doty_links, link_transform, motion, segments
-from aridcal.robot.drive import Drive
+from aridcal.engine.robot.chain import Joint, Robot, load_robot
+from aridcal.engine.robot.doty import (
+    COMPONENTS,
+    Link,
+    align,
+    axis_to_link,
+    doty_links,
+    link_transform,
+    motion,
+    segments,
+)
+from aridcal.engine.robot.drive import Drive
 
 URDF = Path(__file__).parents[1] / "urdf"
 X, Y, Z = np.eye(3)

@@ -12,12 +12,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import NotIdentifiable
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
-from aridcal.robot.doty import COMPONENTS, link_transform
-from aridcal.robot.doty1992 import (
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.robot.doty import COMPONENTS, link_transform
+from aridcal.engine.robot.doty1992 import (
     FRAME,
     JOINTS,
     ORBITER_TO_BASE,
@@ -34,6 +33,7 @@ from aridcal.robot.doty1992 import (
     solve_psi,
     start,
 )
+from aridcal.system.errors import NotIdentifiable
 
 URDF = Path(__file__).parents[1] / "urdf"
 

@@ -9,16 +9,16 @@ import pytest
 from robots import ur10
 from scipy.linalg import subspace_angles
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.elimination import known
-from aridcal.fit.problem import Problem, problem
-from aridcal.fit.residual import eliminated, linearise, taking_off
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import LENGTH, TARGET_POSITION
-from aridcal.instruments.setup import Block, Instruments, Things, Tie
-from aridcal.model.model import Model
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.elimination import known
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.fit.residual import eliminated, linearise, taking_off
+from aridcal.engine.instruments.channels import LENGTH, TARGET_POSITION
+from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.setup import Block, Instruments, Things, Tie
+from aridcal.engine.model.model import Model
+from aridcal.engine.rows.dataset import Dataset, dataset
 
 POINT = KINDS["point"].roles[0]
 ANCHOR = KINDS["distance"].roles[0]

@@ -18,18 +18,19 @@ from test_compensate import calibration as with_play
 from test_predict import calibration, inside
 
 from aridcal import compensate, identify, predict
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.errors import CampaignError, MeasurementError
-from aridcal.fit.constants import constants
-from aridcal.fit.problem import problem
-from aridcal.fit.residual import linearise
-from aridcal.model import extended
-from aridcal.model.memory import Size, available_memory, check_memory
-from aridcal.model.model import Model
-from aridcal.result import pipeline, stretches
-from aridcal.result.folder import write_results
-from aridcal.showing import EVERY, HowFar, Progress, told_on
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.residual import linearise
+from aridcal.engine.model import extended
+from aridcal.engine.model.memory import Size, available_memory, check_memory
+from aridcal.engine.model.model import Model
+from aridcal.jobs.apply import stretches
+from aridcal.jobs.calibrate import pipeline
+from aridcal.jobs.calibrate.folder import write_results
+from aridcal.system.errors import CampaignError, MeasurementError
+from aridcal.system.progress import EVERY, HowFar, Progress, told_on
 
 
 def hundred_times(folder: Path, rows: int) -> pd.DataFrame:
@@ -182,8 +183,8 @@ def test_columns_that_move_no_row_of_a_block_change_no_sum(monkeypatch: pytest.M
     asked = problem(Model(truth.model.robot, every, frames, truth.model.tip_target), rows)
     theta, sigma = np.zeros(len(every)), np.ones(2)
     dense = linearise(asked, theta, None, sigma).equations
-    monkeypatch.setattr("aridcal.fit.residual.MANY", 0)
-    monkeypatch.setattr("aridcal.fit.problem.BLOCK", 7)
+    monkeypatch.setattr("aridcal.engine.fit.residual.MANY", 0)
+    monkeypatch.setattr("aridcal.engine.fit.problem.BLOCK", 7)
     sparse = linearise(asked, theta, None, sigma).equations
     np.testing.assert_allclose(sparse.AA, dense.AA, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sparse.Ar, dense.Ar, rtol=1e-12, atol=1e-12)

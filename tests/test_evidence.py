@@ -9,9 +9,9 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2, kstest, multivariate_normal, norm
 from scipy.stats import t as t_distribution
 
-from aridcal.effects.smooth import Kernel, kernel_root, smooth_precision
-from aridcal.fit.normal_equations import accumulate
-from aridcal.search.evidence import KERNELS, coefficients, scores, shaped, solve
+from aridcal.engine.corrections.smooth import Kernel, kernel_root, smooth_precision
+from aridcal.engine.fit.normal_equations import accumulate
+from aridcal.engine.search.evidence import KERNELS, coefficients, scores, shaped, solve
 
 UNIT = np.ones(1)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aridcal.robot.expressions import FUNCTIONS, evaluate, forget_others
+from aridcal.engine.robot.xacro_expressions import FUNCTIONS, evaluate, forget_others
 
 GIVEN: dict[str, Any] = {
     "a": 2, "name": "arm_", "sizes": [0.1, 0.2, 0.3], "inertia": {"mass": 3.0, "names": ["x", "y"]}, "_y": 1,

@@ -24,12 +24,12 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import aridcal
 from aridcal import api
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.yaml_file import parse_settings
-from aridcal.jobs.result_folder import RESULT_FILES
-from aridcal.plant.here import here
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
+from aridcal.files.campaign import load_campaign
+from aridcal.files.yaml_file import parse_settings
+from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.runs.result_folder import RESULT_FILES
 
 UR10 = robots.URDF / "ur10.urdf"
 UNDECLARED = robots.URDF.parent / "identification" / "arid-undeclared"
@@ -82,7 +82,7 @@ def test_importing_costs_nothing_until_it_is_used() -> None:
     said = "import aridcal, sys; dir(aridcal); print(*{name.partition('.')[0] for name in sys.modules}, *sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", said], capture_output=True, text=True, check=True).stdout.split()
     assert {"numpy", "pandas", "pinocchio", "pydantic", "rich", "scipy", "yaml"} & set(loaded) == set()
-    assert [name for name in loaded if name.startswith("aridcal.")] == ["aridcal.interrupt"]
+    assert [name for name in loaded if name.startswith("aridcal.")] == ["aridcal.system.interrupt"]
 
 
 def test_every_name_is_there_and_no_other() -> None:
@@ -314,7 +314,7 @@ def test_what_is_saved_is_what_the_command_writes(found: aridcal.Calibration, tm
 def test_a_failed_save_leaves_nothing(
     cal: aridcal.Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.result.controllers.write_controllers", lambda *_: 1 / 0)
+    monkeypatch.setattr("aridcal.jobs.calibrate.controllers.write_controllers", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         cal.save(tmp_path / "results")
     assert list(tmp_path.iterdir()) == []
@@ -423,7 +423,7 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
             simulate(parse_settings(quick, tmp_path / "s.yaml", Scenario)), *[tmp_path / "robots" / name] * 2
         )
     for module in ("fleet_run", "study_run"):  # processes would take longer to start than to work
-        monkeypatch.setattr(sys.modules[f"aridcal.jobs.{module}"], "dask_engine", lambda *_: nullcontext(here))
+        monkeypatch.setattr(sys.modules[f"aridcal.runs.{module}"], "dask_engine", lambda *_: nullcontext(here))
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

@@ -29,15 +29,15 @@ from programs_marked import attacks, stripped
 from robots import ur10
 from scipy.spatial.transform import Rotation
 
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.fanuc import ROW
-from aridcal.programs.fanuc.flow import Flow, read_flow
-from aridcal.programs.fanuc.listing import read_listing
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Place, Target
-from aridcal.programs.text import Code
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.fanuc import ROW
+from aridcal.jobs.apply.programs.fanuc.flow import Flow, read_flow
+from aridcal.jobs.apply.programs.fanuc.listing import read_listing
+from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.text import Code
 
 JOINTS = [
     ((0, 0, 0.67), "0 0 1"), ((0.312, 0, 0), "0 1 0"), ((0, 0, 1.075), "0 -1 0"),
@@ -655,6 +655,6 @@ def test_instructions_that_stand_there_before_are_read_as_if_they_did_not(
 
     texts = {name: stripped(text)[0] for name, text in attack.files.items() if name.lower().endswith(".ls")}
     once = flows()
-    monkeypatch.setattr("aridcal.programs.fanuc.flow._Reader._is_plain_action", lambda *_: False)
-    monkeypatch.setattr("aridcal.programs.fanuc.flow._Reader._is_plain_move", lambda *_: False)
+    monkeypatch.setattr("aridcal.jobs.apply.programs.fanuc.flow._Reader._is_plain_action", lambda *_: False)
+    monkeypatch.setattr("aridcal.jobs.apply.programs.fanuc.flow._Reader._is_plain_move", lambda *_: False)
     assert flows() == once

@@ -10,12 +10,12 @@ import pytest
 import robots
 
 from aridcal import calibrate, identify
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.least_squares import Fit
-from aridcal.fit.stages import LENGTHS
-from aridcal.result.pipeline import identify as identified
-from aridcal.search import arm
-from aridcal.search.arm import fit_constants
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.stages import LENGTHS
+from aridcal.engine.search import loop
+from aridcal.engine.search.loop import fit_constants
+from aridcal.jobs.calibrate.pipeline import identify as identified
 
 
 def campaign(folder: Path, rows: int) -> Path:
@@ -130,9 +130,9 @@ def _sizes(found: Fit, every: tuple[Coefficient, ...], frames: np.ndarray) -> np
 def test_a_configuration_that_one_model_misses_by_far_does_not_decide_for_the_nominal_robot() -> None:
     truth = robots.simulate(robots.ur10(), 14, np.random.default_rng(3), 1e-3, 1e-4)
     geometry = fit_constants(robots.campaign("pose").question, truth.model.robot, truth.measured, ())
-    assert arm.is_better(geometry.geometric, geometry.nominal, truth.measured)
+    assert loop.is_better(geometry.geometric, geometry.nominal, truth.measured)
     position = truth.measured.position.copy()
     position[4] += 0.05
     spoilt = robots.placed(truth.measured, position=position)
-    assert arm.is_better(geometry.geometric, geometry.nominal, spoilt)
-    assert not arm.is_better(geometry.nominal, geometry.geometric, spoilt)
+    assert loop.is_better(geometry.geometric, geometry.nominal, spoilt)
+    assert not loop.is_better(geometry.nominal, geometry.geometric, spoilt)

@@ -9,12 +9,22 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
-from aridcal.drawing.fields import LEVELS, SQUARES, color_steps, field
-from aridcal.drawing.figures import COLOURS, Trend, banded, correlogram, coverage, curve, falling, histogram, panels
-from aridcal.drawing.html import noting
-from aridcal.drawing.plot import Area, Named, Scale, along, legend, scale, written
-from aridcal.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
-from aridcal.drawing.timelines import Stretch, sparkline, timeline
+from aridcal.pages.drawing.fields import LEVELS, SQUARES, color_steps, field
+from aridcal.pages.drawing.figures import (
+    COLOURS,
+    Trend,
+    banded,
+    correlogram,
+    coverage,
+    curve,
+    falling,
+    histogram,
+    panels,
+)
+from aridcal.pages.drawing.html import noting
+from aridcal.pages.drawing.plot import Area, Named, Scale, along, legend, scale, written
+from aridcal.pages.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
+from aridcal.pages.drawing.timelines import Stretch, sparkline, timeline
 
 RNG = np.random.default_rng(0)
 HOSTILE = """<b onclick="x">&'"""

@@ -13,10 +13,10 @@ import pandas as pd
 import pytest
 
 from aridcal.command_line import run
-from aridcal.errors import AridcalError, OutputError
-from aridcal.writing import disk
-from aridcal.writing.files import atomic_file, atomic_folder, check_home, check_writable, claimed_table
-from aridcal.writing.tables import csv_lines
+from aridcal.system.errors import AridcalError, OutputError
+from aridcal.system.writing import disk
+from aridcal.system.writing.table_writer import csv_lines
+from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, check_writable, claimed_table
 
 not_root = pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
 
@@ -133,7 +133,7 @@ SLOW_WRITER = """
 import sys
 from pathlib import Path
 from aridcal.command_line import run
-from aridcal.writing.files import atomic_folder
+from aridcal.system.writing.whole_files import atomic_folder
 
 def body():
     with atomic_folder(Path(sys.argv[1])) as folder:

@@ -9,8 +9,8 @@ import pytest
 import robots
 from scipy.stats import kstest
 
-from aridcal.fit.flags import QUANTILES, _quantiles, cluster, coordinates, limits
-from aridcal.inputs.dataset import Dataset
+from aridcal.engine.fit.flags import QUANTILES, _quantiles, cluster, coordinates, limits
+from aridcal.engine.rows.dataset import Dataset
 
 N = 250
 

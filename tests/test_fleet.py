@@ -20,25 +20,25 @@ import pytest
 import yaml
 
 import aridcal
-from aridcal.errors import AridcalError, CampaignError, OutputError
+from aridcal.files.campaign import load_campaign
+from aridcal.files.yaml_file import load_settings
 from aridcal.fleet import main
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.jobs.result_folder import write_folder
-from aridcal.overview.fleet_page import fleet_page
-from aridcal.plant import work
-from aridcal.plant.engine import dask_engine
-from aridcal.plant.here import Broken, EngineGone, here
-from aridcal.plant.keys import files_of, inputs_of
-from aridcal.plant.members import members
-from aridcal.plant.record import SCHEMA, row_in
-from aridcal.plant.runs import Planned, Ran, computed, planned
-from aridcal.plant.table import merged, read_rows
-from aridcal.plant.work import Task, calibrated
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.showing import SILENT, Progress, duration
-from aridcal.writing.files import claimed
+from aridcal.jobs.fleet import work
+from aridcal.jobs.fleet.cluster import dask_engine
+from aridcal.jobs.fleet.in_process import Broken, EngineGone, here
+from aridcal.jobs.fleet.keys import files_of, inputs_of
+from aridcal.jobs.fleet.members import members
+from aridcal.jobs.fleet.run_record import SCHEMA, row_in
+from aridcal.jobs.fleet.run_table import merged, read_rows
+from aridcal.jobs.fleet.runs import Planned, Ran, computed, planned
+from aridcal.jobs.fleet.work import Task, calibrated
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.pages.fleet_page import fleet_page
+from aridcal.runs.result_folder import write_folder
+from aridcal.system.errors import AridcalError, CampaignError, OutputError
+from aridcal.system.progress import SILENT, Progress, duration
+from aridcal.system.writing.whole_files import claimed
 
 ROOT = Path(__file__).parent.parent
 
@@ -155,7 +155,7 @@ def test_another_input_is_another_run_and_earlier_rows_stay(plant: Path, changed
 
 
 def test_another_version_computes_everything_again(plant: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.plant.keys.__version__", "99.0")
+    monkeypatch.setattr("aridcal.jobs.fleet.keys.__version__", "99.0")
     asked = plan(plant)
     assert len(asked.tasks) == 3
     assert {i.inputs for i in asked.inputs.values()} == {row["inputs"] for row in asked.rows}
@@ -268,7 +268,7 @@ def test_a_worker_waits_for_one_that_was_thought_dead_and_takes_its_result(
     kept = (out / "fleet.json").read_text()
     (out / "fleet.json").unlink()
     code = (
-        "import sys, time; from pathlib import Path; from aridcal.writing.files import claimed\n"
+        "import sys, time; from pathlib import Path; from aridcal.system.writing.whole_files import claimed\n"
         "out = Path(sys.argv[1])\n"
         "with claimed(out, 'folder'):\n"
         "    print('held', flush=True); sys.stdin.readline(); (out / 'fleet.json').write_text(sys.argv[2])\n"
@@ -464,7 +464,7 @@ def test_python_has_what_the_command_writes(plant: Path, capsys: pytest.CaptureF
 def test_a_script_without_a_guard_is_not_run_again_in_each_worker(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
-        "import multiprocessing\nfrom aridcal.plant.engine import _main_unseen\nprint('here', flush=True)\n"
+        "import multiprocessing\nfrom aridcal.jobs.fleet.cluster import _main_unseen\nprint('here', flush=True)\n"
         "with _main_unseen():\n"
         "    worker = multiprocessing.get_context('spawn').Process(target=print, args=('works',))\n"
         "    worker.start()\n    worker.join()\nprint(__file__ is not None, __spec__, worker.exitcode)\n"
@@ -499,7 +499,7 @@ def test_a_fleet_that_is_done_needs_no_cluster_and_says_so(plant: Path, capsys: 
     ("address", "said"), [("nonsense", "no address of a scheduler"), ("tcp://127.0.0.1:9", "no scheduler answers")]
 )
 def test_a_scheduler_that_is_none_is_bad_use(address: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.plant.engine.ANSWER", 0.1)
+    monkeypatch.setattr("aridcal.jobs.fleet.cluster.ANSWER", 0.1)
     with pytest.raises(AridcalError, match=said), dask_engine(address, SILENT):
         pass
 
@@ -584,7 +584,7 @@ def announced(file: Path, scheduler: subprocess.Popen[bytes]) -> str:
 @pytest.fixture
 def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], subprocess.Popen[bytes]]]:
     """A scheduler over TCP and a worker, as processes of their own; both are kept alive."""
-    monkeypatch.setattr("aridcal.plant.engine.ANSWER", 120.0)  # however busy the machine is
+    monkeypatch.setattr("aridcal.jobs.fleet.cluster.ANSWER", 120.0)  # however busy the machine is
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     quiet: dict[str, Any] = {"env": env, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     file = tmp_path / "head.json"

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aridcal.overview.fleet_page import fleet_page
-from aridcal.plant.drifting import chance_of, drifting, freedom_of
-from aridcal.plant.runs import Ran
-from aridcal.plant.standing_out import FEWEST, quantile_of_largest, standing_out
-from aridcal.upkeep.bounds import FALSE_ALARMS
+from aridcal.jobs.fleet.drifting import chance_of, drifting, freedom_of
+from aridcal.jobs.fleet.outliers import FEWEST, quantile_of_largest, standing_out
+from aridcal.jobs.fleet.runs import Ran
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.pages.fleet_page import fleet_page
 
 START = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
 

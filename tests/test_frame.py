@@ -14,25 +14,25 @@ import robots
 from lxml import html
 from markupsafe import Markup
 
-from aridcal.drawing.frame import Section, card, empty_page, filled, framed_page
-from aridcal.drawing.html import table, tag
-from aridcal.drawing.one_page import OnePage, Part, as_html
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.fit.constants import constants
-from aridcal.inputs.purposes import About
-from aridcal.model.model import Model
-from aridcal.report.first_screen import in_controller
-from aridcal.report.page import page, write_report
-from aridcal.result.controllers import Handover, hand_over
-from aridcal.result.folder import result_document
-from aridcal.result.outcome import Outcome, Verification
-from aridcal.result.pipeline import identify
-from aridcal.result.zeros import joint_zeros, zero_of
-from aridcal.trust.gains import Diagnosis, NamedEffect
-from aridcal.wording import number, plus_minus
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.trust.gains import Diagnosis, NamedEffect
+from aridcal.files.purposes import About
+from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.joint_zeros import joint_zeros, zero_of
+from aridcal.jobs.calibrate.outcome import Outcome, Verification
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.pages.drawing.frame import Section, card, empty_page, filled, framed_page
+from aridcal.pages.drawing.html import table, tag
+from aridcal.pages.drawing.one_page import OnePage, Part, as_html
+from aridcal.pages.report.first_screen import in_controller
+from aridcal.pages.report.page import page, write_report
+from aridcal.system.wording import number, plus_minus
 
-ASSETS = Path(__file__).parents[1] / "aridcal" / "drawing" / "assets"
+ASSETS = Path(__file__).parents[1] / "aridcal" / "pages" / "drawing" / "assets"
 HOSTILE = """<img src=x onerror="alert('1')"> & </td></title></style><script>alert(1)</script>{{ 7 * 7 }}{% raw %}"""
 
 

@@ -6,13 +6,13 @@ import pinocchio as pin
 import pytest
 from heads import ARID, OPTICS, START
 
-from aridcal.head.pose import doty_axes
-from aridcal.head.sonar import fit_plane, ranges
-from aridcal.head.square import CENTRES
-from aridcal.instruments.camera import DOTY_OPENCV, on_plane
-from aridcal.instruments.camera_sonar import HeadShot, packed, reduced, unpacked
-from aridcal.model.model import Model
-from aridcal.robot.doty1992 import ORBITER_TO_BASE, pose
+from aridcal.engine.instruments.camera import DOTY_OPENCV, on_plane
+from aridcal.engine.instruments.camera_sonar import HeadShot, packed, reduced, unpacked
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE, pose
+from aridcal.jobs.head1992.sonar import fit_plane, ranges
+from aridcal.jobs.head1992.square import CENTRES
+from aridcal.jobs.head1992.square_pose import doty_axes
 
 K = np.array([[700.0, 0, 255.5], [0, 700.0, 255.5], [0, 0, 1]])
 POINTS = np.column_stack([CENTRES, np.zeros(6)])

@@ -11,15 +11,15 @@ import pytest
 import robots
 from scipy.optimize import minimize
 
-from aridcal.fit.frame_starts import FrameStart, Posed, _descended, _lever_cost, start_frames
-from aridcal.fit.least_squares import fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
-from aridcal.robot.kinematics import tip_frames
+from aridcal.engine.fit.frame_starts import FrameStart, Posed, _descended, _lever_cost, start_frames
+from aridcal.engine.fit.least_squares import fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
 
 CAMPAIGNS = Path(__file__).resolve().parents[1] / "identification"
 IDENTITY = (pin.SE3.Identity(),)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aridcal.errors import AridcalError
+from aridcal.system.errors import AridcalError
 from fuzz.mutate import mutate
 from fuzz.targets import CORPUS, TARGETS
 

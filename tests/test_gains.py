@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.least_squares import fit
-from aridcal.fit.problem import problem
-from aridcal.trust.gains import refitted
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.trust.gains import refitted
 
 
 def test_taking_coefficients_out_agrees_with_fitting_without_them() -> None:

@@ -13,7 +13,7 @@ from made_gcode import ZEROS, calibrated_gantry, drive, gcode
 from robot_programs import error
 
 from aridcal.compensate import main as compensate
-from aridcal.programs.branches import flange
+from aridcal.jobs.apply.programs.branches import flange
 
 
 def miss(m: Machine, wanted: np.ndarray, there: np.ndarray) -> tuple[float, float]:

@@ -10,15 +10,15 @@ import pytest
 from made_gcode import gantry
 from robots import ur10
 
-from aridcal.errors import AridcalError
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import KnownFrames
-from aridcal.programs.gcode import ROW
-from aridcal.programs.gcode.table import CODES, START
-from aridcal.programs.project import Project, Source
-from aridcal.programs.proof import Change, corrected, edited, meant
-from aridcal.programs.targets import Target
-from aridcal.programs.text import Numbers, written
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.frames import KnownFrames
+from aridcal.jobs.apply.programs.gcode import ROW
+from aridcal.jobs.apply.programs.gcode.table import CODES, START
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.jobs.apply.programs.text import Numbers, written
+from aridcal.system.errors import AridcalError
 
 
 def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:

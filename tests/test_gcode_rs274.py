@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from made_gcode import gantry
 
-from aridcal.programs.cell import Cell
-from aridcal.programs.frames import KnownFrames
-from aridcal.programs.gcode import ROW
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Target
-from aridcal.programs.text import Number, written
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.frames import KnownFrames
+from aridcal.jobs.apply.programs.gcode import ROW
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.jobs.apply.programs.text import Number, written
 
 PROGRAMS = 60
 """Random ones: 500 were run when this was written; a finding every few programs came in the first twenty."""

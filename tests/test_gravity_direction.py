@@ -9,10 +9,10 @@ import pytest
 import robots
 from tilted import geometric, measured
 
-from aridcal.result.gravity_direction import gravity_direction
-from aridcal.result.pipeline import judged
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.jobs.calibrate.gravity_direction import gravity_direction
+from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.system.progress import SILENT
 
 DOWN = np.array([0.0, 0.0, -1.0])
 

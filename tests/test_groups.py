@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.result.groups import _likeliest, _white, groups
-from aridcal.result.pipeline import identify
-from aridcal.search.noise_tests import Clue
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.search.noise_tests import Clue
+from aridcal.jobs.calibrate.groups import _likeliest, _white, groups
+from aridcal.jobs.calibrate.pipeline import identify
 
 NOISE = 1.5e-4
 

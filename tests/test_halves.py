@@ -13,17 +13,17 @@ import robots
 from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.sights import TARGET, Sights, target_places
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.dataset import Dataset
-from aridcal.model.model import Model
-from aridcal.result.pipeline import identify
-from aridcal.trust.halves import DISAGREE, PATTERNS, Division, Halves, _sides, divisions, halves
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.sights import TARGET, Sights, target_places
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.model.model import Model
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.halves import DISAGREE, PATTERNS, Division, Halves, _sides, divisions, halves
+from aridcal.jobs.calibrate.pipeline import identify
 
 NOISE = 1e-4
 

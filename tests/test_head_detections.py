@@ -14,18 +14,18 @@ from heads import ARID, ROOT, START, STRIP, poses
 from scipy.spatial.transform import Rotation
 
 from aridcal.__main__ import main as aridcal
-from aridcal.effects.effect import Coefficient
-from aridcal.head.charuco import Board
-from aridcal.head.detections import read_shots
-from aridcal.head.found import Read
-from aridcal.head.render import Optics
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.model.model import Model
+from aridcal.files.campaign import load_campaign
 from aridcal.identify import main
-from aridcal.inputs.campaign import load_campaign
-from aridcal.model.model import Model
-from aridcal.prepare.simulation import named_constants
-from aridcal.prepare.viewpoints import draw_views
-from aridcal.result.saved_model import SavedModel
-from aridcal.showing import Progress
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.head1992.charuco import Board
+from aridcal.jobs.head1992.detections import read_shots
+from aridcal.jobs.head1992.observations import Read
+from aridcal.jobs.head1992.render import Optics
+from aridcal.jobs.simulate.simulation import named_constants
+from aridcal.jobs.simulate.viewpoints import draw_views
+from aridcal.system.progress import Progress
 
 EVERY = 6  # of the shipped shots
 CAMERA = np.array([[700, 0, 255.5], [0, 700, 255.5], [0, 0, 1]])

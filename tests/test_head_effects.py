@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from heads import ARID, MODEL, START, T_TIP_CAMERA, THETA, calibrated, moved, poses, shots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import candidates, declared
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.errors import CampaignError
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import Geometry
-from aridcal.head.detections import head_things
-from aridcal.search.arm import CalibratedArm
-from aridcal.search.stated import CONFOUNDED
-from aridcal.trust.gains import explain
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import candidates, declared
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import Geometry
+from aridcal.engine.search.declared import CONFOUNDED
+from aridcal.engine.search.loop import CalibratedArm
+from aridcal.engine.trust.gains import explain
+from aridcal.jobs.head1992.detections import head_things
+from aridcal.system.errors import CampaignError
 
 KINDS_OF_HEAD = ("lens_distortion", "focal_length", "principal_point", "sonar_bias", "sonar_scale")
 QUIET = f"diagnosis: {{candidates: [{', '.join(KINDS_OF_HEAD)}]}}"

@@ -7,13 +7,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.fiducials import Fiducials, find_fiducials
-from aridcal.head.matching import NotMeasured
-from aridcal.head.pose import Sonars, measure_pose
-from aridcal.head.render import Glare, Patch, Scene, render
-from aridcal.head.square import INCH, layout, strip_placements
-from aridcal.instruments.camera import DOTY_OPENCV, predict_pixels
-from aridcal.instruments.camera_sonar import predict_ranges
+from aridcal.engine.instruments.camera import DOTY_OPENCV, predict_pixels
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.head1992.render import Glare, Patch, Scene, render
+from aridcal.jobs.head1992.square import INCH, layout, strip_placements
+from aridcal.jobs.head1992.square_pose import Sonars, measure_pose
 
 cv2.setNumThreads(1)
 INTRINSICS = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

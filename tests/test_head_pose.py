@@ -5,7 +5,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.pose import (
+from aridcal.engine.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.jobs.head1992.sonar import doty_plane, fit_plane
+from aridcal.jobs.head1992.square import CENTRES, INCH, SIZES
+from aridcal.jobs.head1992.square_pose import (
     NO_SONARS,
     Sonars,
     doty_axes,
@@ -15,10 +19,6 @@ from aridcal.head.pose import (
     robust_pose,
     start_on_plane,
 )
-from aridcal.head.sonar import doty_plane, fit_plane
-from aridcal.head.square import CENTRES, INCH, SIZES
-from aridcal.instruments.camera import DOTY_OPENCV, on_plane, predict_pixels, project, project_jacobian, rays
-from aridcal.instruments.camera_sonar import predict_ranges
 
 cv2.setNumThreads(1)
 STRAIGHT = np.array([700.0, 700.0, 255.5, 255.5, 0, 0, 0, 0, 0])

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from aridcal.head.sonar import doty_plane, fit_plane, ranges
-from aridcal.instruments.camera import DOTY_OPENCV
-from aridcal.instruments.camera_sonar import predict_ranges
+from aridcal.engine.instruments.camera import DOTY_OPENCV
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.jobs.head1992.sonar import doty_plane, fit_plane, ranges
 
 INCH = 0.0254
 GAMMA = 2 * INCH

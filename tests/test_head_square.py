@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
 
-from aridcal.head.render import Scene, coverage, image_outlines, light_map
-from aridcal.head.square import (
+from aridcal.jobs.head1992.render import Scene, coverage, image_outlines, light_map
+from aridcal.jobs.head1992.square import (
     CENTRES,
     INCH,
     SIDE,

@@ -11,12 +11,12 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.least_squares import Fit, minimise
-from aridcal.fit.problem import problem
-from aridcal.model.rigid_bodies import targets_of_one_body
-from aridcal.result.pipeline import identify
-from aridcal.search import arm
-from aridcal.search.arm import fit_constants
+from aridcal.engine.fit.least_squares import Fit, minimise
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.model.rigid_bodies import targets_of_one_body
+from aridcal.engine.search import loop
+from aridcal.engine.search.loop import fit_constants
+from aridcal.jobs.calibrate.pipeline import identify
 
 ARMS = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.02], [-0.02, 0.07, 0.0]])
 """Three markers in the target's frame, [m]."""
@@ -33,9 +33,9 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
     """By the second road: each block really left out, and the rest fitted again."""
     _, geometric, truth = fits(40, 1e-3)
     data = truth.measured
-    squares = arm._squares(geometric, data)
+    squares = loop._squares(geometric, data)
     number = np.random.default_rng(2).permutation(int(data.repeats.configuration.max()) + 1)
-    block = number[data.repeats.configuration] % arm.BLOCKS
+    block = number[data.repeats.configuration] % loop.BLOCKS
     asked = problem(geometric.model, data)
     for k in (0, 3):
         rest = asked.select(block != k)
@@ -49,7 +49,7 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
 @pytest.mark.parametrize(("size", "better"), [(0.0, False), (2e-3, True)])
 def test_constants_that_say_nothing_do_not_beat_the_nominal_robot(size: float, better: bool) -> None:
     nominal, geometric, truth = fits(30, size)
-    assert arm.is_better(geometric, nominal, truth.measured) == better
+    assert loop.is_better(geometric, nominal, truth.measured) == better
 
 
 def test_constants_of_which_only_a_sum_is_told_are_judged_like_others() -> None:
@@ -57,7 +57,7 @@ def test_constants_of_which_only_a_sum_is_told_are_judged_like_others() -> None:
     covariance = geometric.covariance.copy()
     covariance[:2] = covariance[:, :2] = 0.0
     covariance[:2, :2] = 2.0**-40  # a power of two: the two are tied to the last digit
-    assert arm.is_better(replace(geometric, covariance=covariance), nominal, truth.measured)
+    assert loop.is_better(replace(geometric, covariance=covariance), nominal, truth.measured)
 
 
 def markers(folder: Path, apart: bool) -> Path:

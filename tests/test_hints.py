@@ -9,17 +9,17 @@ import pytest
 from heads import ARID
 from scipy.stats import kstest
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.effects.kinds import turns
-from aridcal.fit.flags import OUTLIER
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.search.evidence import Score
-from aridcal.search.hints import harmonics, pairs
-from aridcal.search.linear_model import LinearModel
-from aridcal.search.scoring import Judgement, judge, score_of
-from aridcal.search.sets import Choices
-from aridcal.search.state import FAINT, activate, solve_state
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.corrections.effect_kind import turns
+from aridcal.engine.fit.flags import OUTLIER
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.search.candidates import harmonics, pairs
+from aridcal.engine.search.evidence import Score
+from aridcal.engine.search.linear_model import LinearModel
+from aridcal.engine.search.scoring import Judgement, judge, score_of
+from aridcal.engine.search.sets import Choices
+from aridcal.engine.search.state import FAINT, activate, solve_state
 
 SLOTS = (("j1", "axis"), ("j1", "x"), ("j2", "axis"), ("tip_target", "z"))
 UNIT = np.ones(2)

@@ -18,13 +18,13 @@ from scipy.stats import norm
 
 import aridcal
 from aridcal.__main__ import main
-from aridcal.ageing.history_page import MONTH, date
-from aridcal.ageing.store import read_runs, tables_below
-from aridcal.ageing.trend import YEAR, Cycle, Series, dated, evidence, with_cycle
-from aridcal.ageing.wear import history
-from aridcal.errors import AridcalError
-from aridcal.upkeep.bounds import FALSE_ALARMS
-from aridcal.writing.files import atomic_folder
+from aridcal.jobs.history.store import read_runs, tables_below
+from aridcal.jobs.history.trend import YEAR, Cycle, Series, dated, evidence, with_cycle
+from aridcal.jobs.history.wear import history
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.pages.history_page import MONTH, date
+from aridcal.system.errors import AridcalError
+from aridcal.system.writing.whole_files import atomic_folder
 
 FIRST = datetime.datetime(2026, 1, 5)
 

@@ -7,14 +7,14 @@ import pytest
 import robots
 from scipy.optimize import least_squares
 
-from aridcal.effects.effect import Coefficient
-from aridcal.fit import identifiable as identifiable_module
-from aridcal.fit.constants import constants
-from aridcal.fit.identifiable import CARRIES, TOLERANCE, WORST, Subset, apart, identifiable
-from aridcal.fit.problem import problem
-from aridcal.fit.residual import triangle
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit import identifiable as identifiable_module
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.identifiable import CARRIES, TOLERANCE, WORST, Subset, apart, identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.residual import triangle
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
 
 PANDA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = robots.SHARED_ROBOTS / "tiago_description" / "robots" / "tiago.urdf"

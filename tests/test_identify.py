@@ -17,14 +17,14 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import identify, predict
-from aridcal.fit.constants import stage_urdf
-from aridcal.fit.least_squares import fit
-from aridcal.fit.problem import problem
-from aridcal.jobs.result_folder import RESULT_FILES
-from aridcal.result import pipeline
-from aridcal.result.outcome import Outcome
-from aridcal.result.saved_model import SavedModel
-from aridcal.trust.halves import halves as compare_halves
+from aridcal.engine.fit.constants import stage_urdf
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.trust.halves import halves as compare_halves
+from aridcal.jobs.calibrate import pipeline
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.runs.result_folder import RESULT_FILES
 
 CONTROLLERS = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml", "frames.yaml"}
 FILES = {

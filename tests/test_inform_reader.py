@@ -12,20 +12,20 @@ from program_attacks.yaskawa import BEFORE, FRAMES, GO, HOME, PULSES, START, USE
 from robots import ur10
 from test_fanuc_reader import robot
 
-from aridcal.errors import CampaignError
-from aridcal.programs.axes import DEGREE
-from aridcal.programs.branches import flange
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.correct import OTHER_SIDE, correct
-from aridcal.programs.corrections import Corrections
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.notations import YASKAWA
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Place, Target
-from aridcal.programs.yaskawa import ROW
-from aridcal.programs.yaskawa.project import context
-from aridcal.programs.zeros import senses_hint
-from aridcal.robot.chain import Robot
+from aridcal.engine.robot.chain import Robot
+from aridcal.jobs.apply.programs.axes import DEGREE
+from aridcal.jobs.apply.programs.axis_zeros import senses_hint
+from aridcal.jobs.apply.programs.branches import flange
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.correct import OTHER_SIDE, correct
+from aridcal.jobs.apply.programs.corrections import Corrections
+from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
+from aridcal.jobs.apply.programs.notations import YASKAWA
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.yaskawa import ROW
+from aridcal.jobs.apply.programs.yaskawa.project import context
+from aridcal.system.errors import CampaignError
 
 
 def turned(angle: float, axis: int) -> np.ndarray:

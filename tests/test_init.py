@@ -13,16 +13,16 @@ from robots import SHARED_ROBOTS, URDF, random_placement, readings
 from scipy.spatial.transform import Rotation
 
 import aridcal.init
-from aridcal.errors import AridcalError, MeasurementError
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.model.model import Model
-from aridcal.prepare.campaign_text import draft
-from aridcal.prepare.column_names import match_joints, positions, words
-from aridcal.prepare.guesses import nobody
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.prepare.campaign_text import draft
+from aridcal.jobs.prepare.column_names import match_joints, positions, words
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = URDF / "ur10.urdf"
 

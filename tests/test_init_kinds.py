@@ -10,12 +10,12 @@ import pytest
 from photographs import looking, photograph
 
 from aridcal.detect import main as detect_main
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.read import load_measurements
 from aridcal.init import main
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import load_measurements
 from aridcal.print import main as print_main
-from aridcal.robot.chain import load_robot
 
 UR10 = Path(__file__).parent.parent / "urdf" / "ur10.urdf"
 ARM = load_robot(UR10, "tool0")

@@ -14,7 +14,7 @@ from test_trees import readings
 
 import aridcal
 import aridcal.init
-from aridcal.fit.constants import urdf_of
+from aridcal.engine.fit.constants import urdf_of
 
 ROBOT = two_arms.machine()
 LIMIT = 1.3

@@ -9,14 +9,14 @@ import gauges
 import numpy as np
 import pytest
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import MeasurementError
-from aridcal.fit.least_squares import fit
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.search.change_points import SIDE, _within_a_place
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.search.change_points import SIDE, _within_a_place
+from aridcal.system.errors import MeasurementError
 
 
 @pytest.mark.parametrize("blocks", [("heights",), ("points",)])

@@ -17,21 +17,21 @@ import robots
 import yaml
 from scipy.integrate import quad
 
-from aridcal.effects.basis import evaluate
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.effects.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
-from aridcal.errors import CampaignError
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import with_things_moved
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, truth_document, write_campaign
-from aridcal.result.folder import what_moved
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.saving import calibration
-from aridcal.robot.kinematics import along_plane
+from aridcal.engine.corrections.basis import evaluate
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG, Sights, sight_table, target_places
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import with_things_moved
+from aridcal.engine.robot.kinematics import along_plane
+from aridcal.files.campaign import load_campaign
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.folder import what_moved
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, truth_document, write_campaign
+from aridcal.system.errors import CampaignError
 
 ROOT = Path(__file__).parent.parent
 UR10 = {"urdf": str(ROOT / "urdf" / "ur10.urdf"), "tip": "tool0"}

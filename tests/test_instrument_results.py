@@ -22,21 +22,21 @@ from rich.console import Console
 
 import aridcal
 from aridcal.calibration import Calibration
-from aridcal.drawing.html import join, tag
-from aridcal.errors import AridcalError
-from aridcal.fit.problem import Problem, problem
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.instruments.channels import columns, spread
+from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.rows.dataset import Dataset
 from aridcal.identify import summary
-from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.channels import columns, spread
-from aridcal.jobs.result_folder import write_folder
-from aridcal.report.data_section import data
-from aridcal.report.first_screen import summary as first_screen
-from aridcal.report.instruments_section import BLIND, MORE, instruments
-from aridcal.result.folder import residual_table, result_document
-from aridcal.result.instruments import known_scale, scale_std, thing_values
-from aridcal.result.outcome import Outcome, leading
-from aridcal.result.saving import calibration
+from aridcal.jobs.calibrate.folder import residual_table, result_document
+from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std, thing_values
+from aridcal.jobs.calibrate.outcome import Outcome, leading
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.pages.drawing.html import join, tag
+from aridcal.pages.report.data_section import data
+from aridcal.pages.report.first_screen import summary as first_screen
+from aridcal.pages.report.instruments_section import BLIND, MORE, instruments
+from aridcal.runs.result_folder import write_folder
+from aridcal.system.errors import AridcalError
 
 BLOCKS: dict[str, Callable[[gauges.Arm], tuple[gauges.Measured, ...]]] = {
     "point": lambda arm: (gauges.points(arm),),

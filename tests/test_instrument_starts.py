@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.instruments.catalogue import KINDS as EVERY
-from aridcal.instruments.catalogue import labelled
-from aridcal.instruments.descent import Place, View, descend, placed
-from aridcal.instruments.setup import Things
-from aridcal.instruments.starts import aligned, starts
+from aridcal.engine.instruments.descent import Place, View, descend, placed
+from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.instruments.setup import Things
+from aridcal.engine.instruments.starts import aligned, starts
 
 KINDS = {name: kind for name, kind in EVERY.items() if name != "camera_sonar"}  # of images: test_camera_sonar
 

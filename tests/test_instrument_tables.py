@@ -12,13 +12,13 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import AridcalError, CampaignError
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.yaml_file import parse_settings
-from aridcal.instruments.catalogue import KINDS as EVERY
+from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.measurement_settings import MeasurementSettings
+from aridcal.files.read import load_measurements
+from aridcal.files.yaml_file import parse_settings
+from aridcal.system.errors import AridcalError, CampaignError
 
 ELSEWHERE = ("camera_sonar", "joined")  # of images: test_camera_sonar; of a tree: test_joined
 KINDS = {name: kind for name, kind in EVERY.items() if name not in ELSEWHERE}

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.instruments.catalogue import KINDS as EVERY
-from aridcal.instruments.catalogue import labelled
-from aridcal.instruments.kind import Kind, Role
-from aridcal.instruments.pixels import UNSEEN
-from aridcal.instruments.pose import turned_back
-from aridcal.robot.kinematics import transverse
+from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.instruments.pixels import UNSEEN
+from aridcal.engine.instruments.pose import turned_back
+from aridcal.engine.robot.kinematics import transverse
 
 KINDS = {name: kind for name, kind in EVERY.items() if name != "camera_sonar"}  # of images: test_camera_sonar
 

@@ -7,14 +7,14 @@ import pinocchio as pin
 import pytest
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Surroundings
-from aridcal.fit.constants import constants
-from aridcal.model.inverse import FINEST, InverseKinematics
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.robot.chain import Robot, load_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.inverse.one_pose import FINEST, InverseKinematics
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
 
 NOISE = (1e-4, 1e-4)
 

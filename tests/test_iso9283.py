@@ -11,9 +11,9 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.pose import residuals
-from aridcal.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283, repeatability_of
+from aridcal.engine.instruments.pose import residuals
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.iso9283 import ASKED_CYCLES, ASKED_POSES, Iso9283, document, iso_9283, repeatability_of
 
 POSES, CYCLES, PERIOD = 6, 30, 100.0
 SIDES = ("shoulder_pan_joint_direction", "elbow_joint_direction")

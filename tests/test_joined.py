@@ -15,8 +15,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.errors import AridcalError
-from aridcal.instruments.joined import JOINED
+from aridcal.engine.instruments.joined import JOINED
+from aridcal.system.errors import AridcalError
 
 LIMIT = 1.3
 """Held-out errors of some 30 rows scatter by less."""

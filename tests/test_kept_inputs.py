@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from aridcal.__main__ import COMMANDS, main
-from aridcal.errors import OutputError
-from aridcal.writing.apart import check_apart
+from aridcal.system.errors import OutputError
+from aridcal.system.writing.apart import check_apart
 
 ROOT = Path(__file__).parents[1]
 

@@ -17,9 +17,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from aridcal.errors import OutputError
-from aridcal.writing import disk, files, staging
-from aridcal.writing.files import atomic_file, atomic_folder, atomic_table, claimed
+from aridcal.system.errors import OutputError
+from aridcal.system.writing import disk, staging, whole_files
+from aridcal.system.writing.whole_files import atomic_file, atomic_folder, atomic_table, claimed
 
 OLD = {"a.txt": "old a", "b.txt": "old b", "stale.txt": "old"}
 NEW = {"a.txt": "new a", "b.txt": "new b", "c.txt": "new c"}
@@ -112,7 +112,7 @@ def way(request, monkeypatch) -> tuple[str, Callable[[Path], None]]:
     if "exchange" in missing:
         monkeypatch.setattr(disk, "exchange", missing["exchange"])
     if "can_be_swapped" in missing:
-        monkeypatch.setattr(files, "can_be_swapped", missing["can_be_swapped"])
+        monkeypatch.setattr(whole_files, "can_be_swapped", missing["can_be_swapped"])
     return request.param, write
 
 
@@ -255,7 +255,7 @@ def test_a_reader_of_a_swapped_folder_never_sees_a_mixture(tmp_path, monkeypatch
 HOLDER = """
 import sys
 from pathlib import Path
-from aridcal.writing.files import claimed
+from aridcal.system.writing.whole_files import claimed
 
 with claimed(Path(sys.argv[1]), sys.argv[2]):
     print("held", flush=True)

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import aridcal
-from aridcal.instruments.catalogue import KINDS
-from aridcal.instruments.kind import Kind
+from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kinds import KINDS
 
 PACKAGE = Path(aridcal.__file__).parent
 
@@ -21,15 +21,15 @@ PLAIN = {"camera_sonar", "pixels", "inclination"}
 CHANNELS = {channel.name for kind in KINDS.values() for channel in kind.channels}
 
 OTHER_KINDS = {
-    "programs/urscript": "kinds of tokens",
-    "prepare/other_kinds.py": "the table by which columns tell a kind",
+    "jobs/apply/programs/urscript": "kinds of tokens",
+    "jobs/prepare/other_kinds.py": "the table by which columns tell a kind",
 }
 """Where such words are no questions of a kind, and what they are."""
 
 MODULES = [
     path
     for path in sorted(PACKAGE.rglob("*.py"))
-    if not (place := path.relative_to(PACKAGE).as_posix()).startswith(("instruments/", *OTHER_KINDS))
+    if not (place := path.relative_to(PACKAGE).as_posix()).startswith(("engine/instruments/", *OTHER_KINDS))
 ]
 
 
@@ -54,7 +54,7 @@ def is_kind(node: ast.AST) -> bool:
 def rows_imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """Rows of the table that are imported by name: their module's, not the table's."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aridcal.instruments."):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aridcal.engine.instruments."):
             there = importlib.import_module(str(node.module))
             yield from ((node.lineno, a.name) for a in node.names if isinstance(getattr(there, a.name, None), Kind))
 
@@ -114,7 +114,7 @@ def test_no_module_outside_instruments_asks_for_a_kind_by_its_name(path: Path) -
         'own = {"point": 1, "distance": 2, "plane": 3}[kind]',
         'role = {"point": "point", "distance": "anchor", "plane": "plane"}[kind]',
         'match block.kind:\n    case "pose":\n        pass',
-        "from aridcal.instruments.pixels import PIXELS",
+        "from aridcal.engine.instruments.pixels import PIXELS",
         'found = channel in (None, "pixels")',
     ],
 )

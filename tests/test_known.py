@@ -9,13 +9,13 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.drawing.parts import combination_in_words, constant_in_words, division_in_words, pair_in_words
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.trust import known as of_constants
-from aridcal.trust.halves import PATTERNS
-from aridcal.trust.known import Combination, Pair, known
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.trust import combinations as of_constants
+from aridcal.engine.trust.combinations import Combination, Pair, known
+from aridcal.engine.trust.halves import PATTERNS
+from aridcal.pages.drawing.parts import combination_in_words, constant_in_words, division_in_words, pair_in_words
 
 NOISE = 1e-4
 

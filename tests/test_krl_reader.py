@@ -14,14 +14,14 @@ from program_attacks.krl import ATTACKS, BEGIN, CONFIG, FORM, FRAME, FULL, GOOD,
 from programs_marked import cell_of, project_of, wrong
 from robots import ur10
 
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import KnownFrames
-from aridcal.programs.krl import ROW, table
-from aridcal.programs.krl.writing import END_OF_FILE
-from aridcal.programs.moves import Moves, Stop
-from aridcal.programs.notations import KUKA
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Target
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.frames import KnownFrames
+from aridcal.jobs.apply.programs.krl import ROW, table
+from aridcal.jobs.apply.programs.krl.writing import END_OF_FILE
+from aridcal.jobs.apply.programs.moves import Moves, Stop
+from aridcal.jobs.apply.programs.notations import KUKA
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Target
 
 CELL = Cell(ur10())
 

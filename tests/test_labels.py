@@ -14,27 +14,27 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from aridcal.calibration import Calibration
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.labels import MOST_LABELS, label_columns
-from aridcal.errors import CampaignError, MeasurementError
-from aridcal.inputs.dataset import Dataset
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.report.effects_section import effects_in_the_model
-from aridcal.result.compensate import compensate
-from aridcal.result.controllers import hand_over, write_controllers
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import evenly, predict, read_query
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.kinematics import tip_frames
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.showing import SILENT
-from aridcal.upkeep.checking import check
-from aridcal.upkeep.new_rows import read_new_rows
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.labels import MOST_LABELS, label_columns
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
+from aridcal.jobs.apply.joint_commands import compensate
+from aridcal.jobs.apply.target_poses import evenly, predict, read_query
+from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.maintain.checking import check
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.pages.report.effects_section import effects_in_the_model
+from aridcal.system.errors import CampaignError, MeasurementError
+from aridcal.system.progress import SILENT
 
 NOISE = 1e-4
 LABELS = ("hall A", "hall B", "[3]", "lathe", "Ofen")

@@ -11,19 +11,19 @@ import robots
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import NotIdentifiable
-from aridcal.fit import least_squares as least_squares_module
-from aridcal.fit.constants import constants
-from aridcal.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
-from aridcal.fit.least_squares import fit, fit_identifiable, minimise, thin
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import BLOCK, Problem, problem
-from aridcal.fit.residual import linearise, triangle
-from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.instruments.pose import residuals
-from aridcal.model.model import Model, Rows
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit import least_squares as least_squares_module
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
+from aridcal.engine.fit.least_squares import fit, fit_identifiable, minimise, thin
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import BLOCK, Problem, problem
+from aridcal.engine.fit.residual import linearise, triangle
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.instruments.pose import residuals
+from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.system.errors import NotIdentifiable
 
 POSE = (TARGET_POSITION, TARGET_ROTATION)
 FEW = tuple(Coefficient(*name.split(".")) for name in ("joint_2.pitch", "joint_3.x", "joint_3.yaw", "joint_4.roll"))

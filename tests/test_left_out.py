@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.noise import carried
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import fit_geometry
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.split import held_together
-from aridcal.trust.left_out import FOLDS, _shares, folds, influence, rows_of
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.rows.split import held_together
+from aridcal.engine.trust.cross_validation import FOLDS, _shares, folds, influence, rows_of
 
 NOISE = 1e-4
 

@@ -15,7 +15,7 @@ from test_trees import readings
 
 import aridcal
 import aridcal.compensate
-from aridcal.fit.constants import urdf_of
+from aridcal.engine.fit.constants import urdf_of
 
 POSE = ["x", "y", "z", "qx", "qy", "qz", "qw"]
 ENDS = {"left_hand": "left", "right_hand": "right", "right_6": "right"}

@@ -14,10 +14,10 @@ import yaml
 from test_trees import readings
 
 import aridcal
-from aridcal.ageing.comparison import compare, lines
-from aridcal.result.controllers import tables
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import parse_robot, with_limbs
+from aridcal.engine.robot.chain import parse_robot, with_limbs
+from aridcal.jobs.calibrate.controllers import tables
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.history.comparison import compare, lines
 
 WAIST = (
     b'<link name="pelvis"/><link name="torso"/><joint name="waist" type="revolute"><parent link="pelvis"/>'

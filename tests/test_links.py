@@ -14,11 +14,11 @@ from test_other_readings import machine
 
 import aridcal
 import aridcal.predict
-from aridcal.effects.loads import Surroundings
-from aridcal.errors import RobotError
-from aridcal.fit.constants import constants, urdf_of
-from aridcal.model.model import Model
-from aridcal.robot.chain import Route, check_route, parse_robot, with_limbs
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.fit.constants import constants, urdf_of
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Route, check_route, parse_robot, with_limbs
+from aridcal.system.errors import RobotError
 
 URDF = robots.random_chain(np.random.default_rng(6), "RPRC")
 """Links base, link_1 to link_4 and tip in a row, with a bracket and a plate after link_1, which carries a branch, too."""

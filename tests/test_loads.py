@@ -14,18 +14,18 @@ import two_arms
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, direction
-from aridcal.effects.loads import Payload, Surroundings, bearing_components, covariate_table, needs
-from aridcal.errors import CovariateNotFound, MeasurementError
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.result.compensate import compensate
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.result.saving import calibration
-from aridcal.robot.chain import Robot, parse_robot, with_limbs
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, direction
+from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table, needs
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot, with_limbs
+from aridcal.jobs.apply.joint_commands import compensate
+from aridcal.jobs.apply.target_poses import predict, read_query
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.system.errors import CovariateNotFound, MeasurementError
 
 SAG = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint.gravity_torque",), (0.0,)))
 COMPLIANCE, SIGMA = 2e-5, 5e-5

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.noise import carried
-from aridcal.fit.problem import Problem
-from aridcal.fit.problem import problem as ask
-from aridcal.fit.residual import linearise, moved_by
-from aridcal.instruments.channels import columns
-from aridcal.model.local import WORTH
-from aridcal.model.model import Model
-from aridcal.trust.seen import Seen
-from aridcal.trust.workspace import Knowledge, shifted, target_covariance
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.problem import Problem
+from aridcal.engine.fit.problem import problem as ask
+from aridcal.engine.fit.residual import linearise, moved_by
+from aridcal.engine.instruments.channels import columns
+from aridcal.engine.model.local import WORTH
+from aridcal.engine.model.model import Model
+from aridcal.engine.trust.coverage import Seen
+from aridcal.engine.trust.workspace import Knowledge, shifted, target_covariance
 
 COUNT = 45
 

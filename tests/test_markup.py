@@ -9,8 +9,8 @@ import pytest
 from lxml import html
 from markupsafe import Markup
 
-from aridcal.drawing.html import bullets, join, table, tag
-from aridcal.wording import counted, fixed, number, plus_minus
+from aridcal.pages.drawing.html import bullets, join, table, tag
+from aridcal.system.wording import counted, fixed, number, plus_minus
 
 HOSTILE = """<img src=x onerror="alert('1')"> & </td><script>alert(1)</script>"""
 

@@ -11,14 +11,14 @@ import pinocchio as pin
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.head.charuco import Board
-from aridcal.head.render import Scene, render
-from aridcal.head.square import INCH, strip_placements
-from aridcal.instruments.camera import DOTY_OPENCV
-from aridcal.instruments.camera_sonar import predict_ranges
+from aridcal.engine.instruments.camera import DOTY_OPENCV
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.jobs.head1992.charuco import Board
+from aridcal.jobs.head1992.render import Scene, render
+from aridcal.jobs.head1992.square import INCH, strip_placements
 from aridcal.measure import main
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
 
 cv2.setNumThreads(1)
 ARID = Path(__file__).parent.parent / "urdf" / "arid.urdf"

@@ -16,16 +16,16 @@ from scipy.special import polygamma
 from scipy.stats import chi2
 
 import aridcal
-from aridcal.errors import AridcalError, MeasurementError
-from aridcal.jobs.log_merge import joined
-from aridcal.logs import averages, bags
-from aridcal.logs.alignment import Moves, jump
-from aridcal.logs.clocks import correlations
-from aridcal.logs.log import Log
-from aridcal.logs.merging import Merged
-from aridcal.logs.standstills import standstills
+from aridcal.jobs.merge import averages, bags
+from aridcal.jobs.merge.alignment import Moves, jump
+from aridcal.jobs.merge.clocks import correlations
+from aridcal.jobs.merge.log import Log
+from aridcal.jobs.merge.merging import Merged
+from aridcal.jobs.merge.standstills import standstills
+from aridcal.jobs.prepare.guesses import nobody
 from aridcal.merge import main
-from aridcal.prepare.guesses import nobody
+from aridcal.runs.log_merge import joined
+from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()

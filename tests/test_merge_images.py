@@ -14,17 +14,17 @@ import pytest
 import robots
 
 import aridcal
-from aridcal.boards.camera_file import known_camera
-from aridcal.boards.frames import packed_frame, raw_frame
-from aridcal.boards.options import ALL_BOARDS, board_of
-from aridcal.boards.patterns import drawing, marks
-from aridcal.boards.sheet import svg
 from aridcal.detect import main as detect
-from aridcal.head.matching import NotMeasured
-from aridcal.head.shots import read_image, shots_of
-from aridcal.inputs.head_settings import CameraSettings, HeadSettings, load_shots
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.logs.bag_camera import BagCamera, CameraInfo, intrinsics
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.head1992.head_settings import CameraSettings, HeadSettings, load_shots
+from aridcal.jobs.head1992.matching import NotMeasured
+from aridcal.jobs.head1992.shots import read_image, shots_of
+from aridcal.jobs.merge.bag_camera import BagCamera, CameraInfo, intrinsics
+from aridcal.jobs.print.camera_file import known_camera
+from aridcal.jobs.print.camera_frames import packed_frame, raw_frame
+from aridcal.jobs.print.options import ALL_BOARDS, board_of
+from aridcal.jobs.print.patterns import drawing, marks
+from aridcal.jobs.print.sheet import svg
 from aridcal.merge import main
 
 UR10 = robots.URDF / "ur10.urdf"
@@ -189,7 +189,7 @@ def test_a_bag_with_a_target_and_a_camera_asks_which_is_meant(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made_bags.write_camera_bag(tmp_path / "run", JOINTS, FILM, "bgr8", info())
-    monkeypatch.setattr("aridcal.logs.bags._image_topics", lambda path: ["/eye/image_raw", "/other/image_raw"])
+    monkeypatch.setattr("aridcal.jobs.merge.bags._image_topics", lambda path: ["/eye/image_raw", "/other/image_raw"])
     assert main([str(tmp_path / "run"), *ARGUMENTS, str(tmp_path / "a.csv")]) == 2
     assert "1 = /eye/image_raw; 2 = /other/image_raw" in capsys.readouterr().err
     with pytest.raises(aridcal.AridcalError, match="the command `aridcal merge` writes them"):

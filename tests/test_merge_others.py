@@ -12,9 +12,9 @@ import robots
 from made_logs import Made
 
 import aridcal
-from aridcal.jobs.log_merge import joined
-from aridcal.logs.merging import Merged
-from aridcal.prepare.guesses import nobody
+from aridcal.jobs.merge.merging import Merged
+from aridcal.jobs.prepare.guesses import nobody
+from aridcal.runs.log_merge import joined
 
 UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()

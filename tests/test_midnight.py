@@ -11,11 +11,11 @@ import pytest
 import robots
 
 import aridcal
-from aridcal.errors import MeasurementError
-from aridcal.inputs.campaign import load_campaign
-from aridcal.reading.dates import DAY, of_the_day, unrolled
-from aridcal.result.pipeline import identify
-from aridcal.result.reading import read_job
+from aridcal.files.campaign import load_campaign
+from aridcal.jobs.calibrate.job_inputs import read_job
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.system.errors import MeasurementError
+from aridcal.system.reading.dates import DAY, of_the_day, unrolled
 
 EVENING = 23 * 3600.0
 

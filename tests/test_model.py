@@ -11,16 +11,16 @@ import pytest
 import robots
 import yourdfpy
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
-from aridcal.effects.loads import Surroundings
-from aridcal.errors import CovariateNotFound, MeasurementError
-from aridcal.fit.constants import constants, stage_urdf
-from aridcal.model.many_rows import BLOCK, MANY
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.doty import doty_links, link_transform
-from aridcal.robot.kinematics import gravity_loads, rotations, tip_frames, transverse, tree_frames
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.fit.constants import constants, stage_urdf
+from aridcal.engine.model.many_rows import BLOCK, MANY
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.doty import doty_links, link_transform
+from aridcal.engine.robot.kinematics import gravity_loads, rotations, tip_frames, transverse, tree_frames
+from aridcal.system.errors import CovariateNotFound, MeasurementError
 
 TIME = Basis("linear", ("time",), (0.5,))
 ROBOTS = {

@@ -9,8 +9,8 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
 
 SIGMA = 1e-4
 N = 250

@@ -12,17 +12,17 @@ import robots
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from aridcal.drawing.words import causes_in_words
-from aridcal.fit.problem import problem
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset, RowNoise, weighed
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
+from aridcal.engine.search.noise_causes import NoiseCause, NoiseCauses
 from aridcal.identify import summary
-from aridcal.inputs.dataset import Dataset, RowNoise, weighed
-from aridcal.result.folder import result_document
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import Robot
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
-from aridcal.search.noise_causes import NoiseCause, NoiseCauses
-from aridcal.showing import SILENT
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.pages.drawing.words import causes_in_words
+from aridcal.system.progress import SILENT
 
 UR10 = robots.ur10()
 ROWS = 250

@@ -13,20 +13,20 @@ import robots
 from rich.console import Console
 from scipy.spatial.transform import Rotation
 
-from aridcal.drawing.html import join
-from aridcal.drawing.words import causes_in_words
-from aridcal.fit.noise import repeats
-from aridcal.fit.problem import problem
+from aridcal.engine.fit.noise import repeats
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import LENGTH, TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.rows.dataset import Dataset, RowNoise, factors, weighed
+from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
+from aridcal.engine.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.identify import summary
-from aridcal.inputs.dataset import Dataset, RowNoise, factors, weighed
-from aridcal.instruments.channels import LENGTH, TARGET_POSITION, TARGET_ROTATION
-from aridcal.report.data_section import data as data_section
-from aridcal.result.folder import result_document
-from aridcal.result.key_figures import another_day
-from aridcal.result.outcome import Outcome, Verification, errors
-from aridcal.search.arm import CalibratedArm, calibrated_arm, fit_arm, fit_constants, structured_notices
-from aridcal.search.noise_causes import NoiseCauses, noise_causes
-from aridcal.showing import SILENT
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.key_figures import another_day
+from aridcal.jobs.calibrate.outcome import Outcome, Verification, errors
+from aridcal.pages.drawing.html import join
+from aridcal.pages.drawing.words import causes_in_words
+from aridcal.pages.report.data_section import data as data_section
+from aridcal.system.progress import SILENT
 
 ROUNDED = np.radians(0.1)
 READING = ROUNDED / np.sqrt(12.0)

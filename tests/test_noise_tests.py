@@ -10,16 +10,16 @@ import pytest
 import robots
 from scipy.stats import kstest
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.fit.noise import Repeats, declared_notices
-from aridcal.fit.problem import problem
-from aridcal.inputs.dataset import Dataset, dataset
-from aridcal.instruments.channels import PIXEL
-from aridcal.instruments.setup import Block
-from aridcal.search.change_points import SIDE
-from aridcal.search.noise_tests import (
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.fit.noise import Repeats, declared_notices
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import PIXEL
+from aridcal.engine.instruments.setup import Block
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.change_points import SIDE
+from aridcal.engine.search.noise_tests import (
     SHUFFLES,
     STRETCHES,
     Clue,
@@ -31,7 +31,7 @@ from aridcal.search.noise_tests import (
     clues,
     stretches,
 )
-from aridcal.showing import SILENT
+from aridcal.system.progress import SILENT
 
 UNKNOWN = (None, None)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, pinvh
 
-from aridcal.fit.normal_equations import (
+from aridcal.engine.fit.normal_equations import (
     Combined,
     NormalEquations,
     Prior,

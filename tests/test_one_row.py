@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import KINDS, candidates
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.effects.kinds import Observed, bumps
-from aridcal.effects.loads import Payload, Surroundings, bearing_components, covariate_table
-from aridcal.effects.sights import Sights
-from aridcal.errors import CovariateNotFound, MeasurementError
-from aridcal.fit.constants import constants
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.corrections.effect_kind import Observed, bumps
+from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table
+from aridcal.engine.corrections.sights import Sights
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.system.errors import CovariateNotFound, MeasurementError
 
 ROWS = 20
 

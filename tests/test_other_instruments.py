@@ -16,16 +16,16 @@ from calibrated import NOISE, Machine, by_instruments, jump, machine
 from test_simulate_instruments import EYE
 
 from aridcal.__main__ import main
-from aridcal.errors import AridcalError
-from aridcal.inputs.campaign import Frames
-from aridcal.model.model import ONE_FRAME
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.upkeep.bounds import FALSE_ALARMS
-from aridcal.upkeep.checking import Checked, check
-from aridcal.upkeep.new_rows import read_new_rows
-from aridcal.upkeep.repair import changes, repaired
+from aridcal.engine.model.model import ONE_FRAME
+from aridcal.files.campaign import Frames
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.jobs.maintain.repair import changes, repaired
+from aridcal.system.errors import AridcalError
 
 NAMES = robots.ur10().readings
 ON_TIP = {"cameras": {"eye": EYE | {"xyz": [0.05, 0.0, 0.02], "rpy": [0.1, -0.1, 1.0]}}}

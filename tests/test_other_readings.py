@@ -15,16 +15,16 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import aridcal.identify
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import NotOfThisRobot
-from aridcal.fit.constants import constants, station_labels
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.model.model import Model
-from aridcal.prepare.other_readings import refuse_misread
-from aridcal.robot.chain import Robot
-from aridcal.search.arm import fit_constants
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants, station_labels
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.search.loop import fit_constants
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.jobs.prepare.other_readings import refuse_misread
+from aridcal.system.errors import NotOfThisRobot
 
 Q = ["qx", "qy", "qz", "qw"]
 XYZ = ["x", "y", "z"]

@@ -13,9 +13,9 @@ import robots
 import test_measure
 from scipy.spatial.transform import Rotation
 
-from aridcal.drawing.frame import card, framed_page, sections
-from aridcal.drawing.html import bullets, table, tag
 from aridcal.identify import main as identify
+from aridcal.pages.drawing.frame import card, framed_page, sections
+from aridcal.pages.drawing.html import bullets, table, tag
 
 LOUD = """(() => {
   const wide = (e) => e.getBoundingClientRect().right > innerWidth + 1 && !e.closest(".scroll, figure");

@@ -11,8 +11,8 @@ import peers
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
 
 
 def places_by_table(files: dict[str, np.ndarray], q: np.ndarray, change: np.ndarray | None = None) -> np.ndarray:

@@ -13,9 +13,9 @@ from scipy.stats import multivariate_normal
 from test_hints import made_up
 
 import aridcal
-from aridcal.effects.place_scatter import place_columns, place_scatter
-from aridcal.search.places import has_scatter, with_scatter
-from aridcal.search.state import solve_state
+from aridcal.engine.corrections.place_scatter import place_columns, place_scatter
+from aridcal.engine.search.places import has_scatter, with_scatter
+from aridcal.engine.search.state import solve_state
 
 PLACES, EACH, APART, FINE, ALIKE = 30, 3, 4e-3, 2e-5, 1.5e-4
 

@@ -15,22 +15,22 @@ import robots
 from calibrated import machine
 from posture_arms import ABB, FANUC, KUKA, Arm
 
-from aridcal.errors import AridcalError
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.model.model import Model
-from aridcal.programs import fanuc, krl, rapid
-from aridcal.programs.branches import flange
-from aridcal.programs.cell import Cell
-from aridcal.programs.job import Request, correct_programs
-from aridcal.programs.notations import KUKA as NOTATION
-from aridcal.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
-from aridcal.programs.project import Project, Source
-from aridcal.programs.sentences import lines_of
-from aridcal.programs.targets import Branch, Target, Words
-from aridcal.programs.text import NONE, Number, Numbers
-from aridcal.programs.zeros import WITNESSES, cell_zeros, senses_hint, without_mirrored, zeros_hint
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.jobs.apply.programs import fanuc, krl, rapid
+from aridcal.jobs.apply.programs.axis_zeros import WITNESSES, cell_zeros, senses_hint, without_mirrored, zeros_hint
+from aridcal.jobs.apply.programs.branches import flange
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.notations import KUKA as NOTATION
+from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
+from aridcal.jobs.apply.programs.sentences import lines_of
+from aridcal.jobs.apply.programs.targets import Branch, Target, Words
+from aridcal.jobs.apply.programs.text import NONE, Number, Numbers
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.system.errors import AridcalError
 
 KUKA_ZERO = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 """Of a URDF whose upper arm is upright at zero."""

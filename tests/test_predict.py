@@ -13,14 +13,14 @@ import robots
 from scipy.spatial.transform import Rotation
 
 from aridcal import predict
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.inputs.measurement_settings import MeasurementSettings
-from aridcal.model.model import Model
-from aridcal.result.predict import orientations
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.kinematics import rotations
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.kinematics import rotations
+from aridcal.files.measurement_settings import MeasurementSettings
+from aridcal.jobs.apply.target_poses import orientations
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
 RNG = np.random.default_rng(7)
 QUATERNION = ["qx", "qy", "qz", "qw"]

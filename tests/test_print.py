@@ -7,9 +7,9 @@ import pandas as pd
 import pytest
 import trimesh
 
-from aridcal.boards.bodies import BORE, MOUTH, cup, holder, seat_rise, stl
-from aridcal.errors import CampaignError
+from aridcal.jobs.print.bodies import BORE, MOUTH, cup, holder, seat_rise, stl
 from aridcal.print import main
+from aridcal.system.errors import CampaignError
 
 SIZES = [(0.02, 0.05, 0.0055), (0.03, 0.05, 0.0055), (0.01, 0.08, 0.004), (0.025, 0.1, 0.01)]
 CUPS = [(0.02, 4, 0.05, 0.0066), (0.0254, 4, 0.05, 0.0066), (0.012, 6, 0.0315, 0.0055), (0.012, 3, 0.05, 0.005)]

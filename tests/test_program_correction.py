@@ -13,21 +13,21 @@ import robots
 from calibrated import Machine, machine
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import constants
-from aridcal.instruments.pose import rotation_vector
-from aridcal.model.inverse_rows import ArmRows, InverseRows
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.programs import branches, correct
-from aridcal.programs.branches import Controller, Poses, controller, flange, flanges
-from aridcal.programs.corrections import Correction, as_table
-from aridcal.programs.notations import ABB, FANUC, KUKA, UR, pose
-from aridcal.programs.targets import Branch, Notation, Place, Target, Words
-from aridcal.programs.text import LARGEST, Number, Numbers
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.instruments.pose import rotation_vector
+from aridcal.engine.inverse.many_poses import ArmRows, InverseRows
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.jobs.apply.programs import branches, correct
+from aridcal.jobs.apply.programs.branches import Controller, Poses, controller, flange, flanges
+from aridcal.jobs.apply.programs.corrections import Correction, as_table
+from aridcal.jobs.apply.programs.notations import ABB, FANUC, KUKA, UR, pose
+from aridcal.jobs.apply.programs.targets import Branch, Notation, Place, Target, Words
+from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
 """A UR10 with its elbow and its wrist bent: far from where two of its positions meet."""

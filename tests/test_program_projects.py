@@ -13,14 +13,14 @@ from calibrated import Machine, machine
 from made_programs import unmarked
 
 from aridcal.compensate import main as compensate
-from aridcal.programs import job, krl
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.language import Language
-from aridcal.programs.project import Project, Source
-from aridcal.programs.proof import Change, Unproved, corrected, edited, meant
-from aridcal.programs.read_project import read_project
-from aridcal.programs.targets import Place, Target
-from aridcal.programs.text import NUL, Number, Numbers
+from aridcal.jobs.apply.programs import krl, rewrite
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.language import Language
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.proof import Change, Unproved, corrected, edited, meant
+from aridcal.jobs.apply.programs.read_project import read_project
+from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.text import NUL, Number, Numbers
 
 POINT = "{X 700.0,Y 100.0,Z 600.0,A 0.0,B 90.0,C 0.0}"
 
@@ -155,7 +155,7 @@ def test_nothing_is_written_where_the_new_text_does_not_say_what_was_meant(
         language = Language("KRL", krl.ROW.endings, forgetful, context=krl.ROW.context)  # type: ignore[arg-type]
         return type(real)(language, real.project, real.names)
 
-    monkeypatch.setattr(job, "read_project", opened)
+    monkeypatch.setattr(rewrite, "read_project", opened)
     assert compensate([str(calibration), str(cell), "-o", str(tmp_path / "out")]) == 1
     assert "this is a bug in aridcal" in capfd.readouterr().err
     assert not (tmp_path / "out").exists()

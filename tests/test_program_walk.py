@@ -8,7 +8,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from aridcal.programs.walk import (
+from aridcal.jobs.apply.programs.walk import (
     DEEPEST,
     Body,
     Call,

@@ -21,26 +21,26 @@ from scipy.spatial.transform import Rotation
 
 import aridcal
 from aridcal.compensate import main as compensate
-from aridcal.errors import AridcalError, CampaignError
-from aridcal.fit.constants import constants
-from aridcal.model.model import Model
-from aridcal.programs import gcode
-from aridcal.programs.branches import flange
-from aridcal.programs.cell import Cell
-from aridcal.programs.correct import NOWHERE, correct
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.languages import language_of
-from aridcal.programs.notations import ABB as OUR_ABB
-from aridcal.programs.notations import FANUC as OUR_FANUC
-from aridcal.programs.notations import KUKA as OUR_KUKA
-from aridcal.programs.notations import UR as OUR_UR
-from aridcal.programs.notations import YASKAWA as OUR_YASKAWA
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Notation
-from aridcal.programs.text import written
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import chain, parse_robot
-from aridcal.robot.tree import read_tree
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import chain, parse_robot
+from aridcal.engine.robot.tree import read_tree
+from aridcal.jobs.apply.programs import gcode
+from aridcal.jobs.apply.programs.branches import flange
+from aridcal.jobs.apply.programs.cell import Cell
+from aridcal.jobs.apply.programs.correct import NOWHERE, correct
+from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
+from aridcal.jobs.apply.programs.languages import language_of
+from aridcal.jobs.apply.programs.notations import ABB as OUR_ABB
+from aridcal.jobs.apply.programs.notations import FANUC as OUR_FANUC
+from aridcal.jobs.apply.programs.notations import KUKA as OUR_KUKA
+from aridcal.jobs.apply.programs.notations import UR as OUR_UR
+from aridcal.jobs.apply.programs.notations import YASKAWA as OUR_YASKAWA
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Notation
+from aridcal.jobs.apply.programs.text import written
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.system.errors import AridcalError, CampaignError
 
 CELL = Cell(ur10())
 

@@ -20,22 +20,22 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload, Surroundings
-from aridcal.fit.constants import constants
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import Geometry, fit_geometry
-from aridcal.inputs.campaign import Campaign, load_campaign
-from aridcal.inputs.dataset import Dataset, RowNoise, weighed
-from aridcal.inputs.measurement_settings import ANGLES, LENGTHS
-from aridcal.inputs.read import load_measurements
-from aridcal.instruments.camera import predict_pixels, rays
-from aridcal.instruments.camera_sonar import predict_ranges
-from aridcal.model.model import Model
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.splice import splice_origins
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload, Surroundings
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import Geometry, fit_geometry
+from aridcal.engine.instruments.camera import predict_pixels, rays
+from aridcal.engine.instruments.camera_sonar import predict_ranges
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.splice import splice_origins
+from aridcal.engine.rows.dataset import Dataset, RowNoise, weighed
+from aridcal.files.campaign import Campaign, load_campaign
+from aridcal.files.measurement_settings import ANGLES, LENGTHS
+from aridcal.files.read import load_measurements
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
 
 def examples(n: int) -> Callable[[Callable[..., None]], Callable[..., None]]:

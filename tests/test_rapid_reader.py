@@ -12,14 +12,14 @@ import robots
 from program_attacks import Attack
 from program_attacks.rapid import ATTACKS, DATA, JOINTS, OTHER, POSE, ZERO
 
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.project import Project, Source
-from aridcal.programs.rapid import ROW, context
-from aridcal.programs.rapid.grammar import fold
-from aridcal.programs.targets import Target, Words
-from aridcal.programs.text import Number, Numbers
-from aridcal.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.rapid import ROW, context
+from aridcal.jobs.apply.programs.rapid.grammar import fold
+from aridcal.jobs.apply.programs.targets import Target, Words
+from aridcal.jobs.apply.programs.text import Number, Numbers
 
 ARM = robots.ur10()
 
@@ -168,7 +168,7 @@ CONF = [
 def test_confdata_counts_where_the_controller_asks_for_it(
     mode: str, move: str, counts: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.programs.rapid.points.rapid_words", _words)
+    monkeypatch.setattr("aridcal.jobs.apply.programs.rapid.points.rapid_words", _words)
     behind = "tr1,z1,tool0" if move == "TriggJ" else "z1,tool0"
     body = f"{mode}\n{move} {POSE},v100,{behind};\nMoveL {OTHER},v100,z1,tool0;"
     first, second = read(main(body), start=False).targets
@@ -181,7 +181,7 @@ def test_confdata_counts_where_the_controller_asks_for_it(
 
 
 def test_a_point_that_is_reached_with_and_without_confdata_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("aridcal.programs.rapid.points.rapid_words", _words)
+    monkeypatch.setattr("aridcal.jobs.apply.programs.rapid.points.rapid_words", _words)
     data = f"CONST robtarget p1:={POSE};\nCONST robtarget p2:={OTHER};\n"
     body = "MoveL p1,v,z,tool0;\nMoveL p2,v,z,tool0;\nConfL\\Off;\nMoveL p1,v,z,tool0;\nIF b ConfL\\On;\n"
     targets = read(main(f"{body}MoveL {POSE},v,z,tool0;\nEXIT;", data)).targets

@@ -11,16 +11,16 @@ import pytest
 import robots
 from test_round_trip import PUBLIC
 
-import aridcal.fit.constants
-from aridcal.effects.basis import ALWAYS
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import constants, urdf_of
+import aridcal.engine.fit.constants
+from aridcal.engine.corrections.basis import ALWAYS
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants, urdf_of
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot, parse_robot, with_limbs
+from aridcal.engine.robot.read_back import NotReadBack, link_places
+from aridcal.engine.robot.tree import read_tree
 from aridcal.identify import main
-from aridcal.model.model import Model
-from aridcal.result.urdf_files import write_urdf
-from aridcal.robot.chain import Robot, load_robot, parse_robot, with_limbs
-from aridcal.robot.read_back import NotReadBack, link_places
-from aridcal.robot.tree import read_tree
+from aridcal.jobs.calibrate.urdf_files import write_urdf
 
 NAMES = ("ur5", "panda", "baxter", "tiago", "talos")
 FILES = {
@@ -90,7 +90,7 @@ def test_a_urdf_damaged_after_the_splice_is_refused_and_nothing_appears(
     good = urdf_of(model, theta)
     bad = DAMAGES[damage](good)
     assert bad != good
-    monkeypatch.setattr(aridcal.fit.constants, "splice_origins", lambda *_: bad)
+    monkeypatch.setattr(aridcal.engine.fit.constants, "splice_origins", lambda *_: bad)
     with pytest.raises(NotReadBack, match=r"calibrated\.urdf: .*nothing was written") as refused:
         write_urdf(tmp_path / "calibrated.urdf", model, theta)
     assert not list(tmp_path.iterdir())
@@ -150,9 +150,9 @@ def test_a_whole_calibration_says_what_the_second_reader_cannot_read_and_refuses
     assert main([str(path)]) == 0
     assert f"note: {urdf.name}: yourdfpy cannot read it" in capsys.readouterr().out
     good = (tmp_path / "results" / "calibrated.urdf").read_bytes()
-    splice = aridcal.fit.constants.splice_origins
+    splice = aridcal.engine.fit.constants.splice_origins
     monkeypatch.setattr(
-        aridcal.fit.constants, "splice_origins", lambda *a: splice(*a).replace(b"shoulder_link", b"sholder_link")
+        aridcal.engine.fit.constants, "splice_origins", lambda *a: splice(*a).replace(b"shoulder_link", b"sholder_link")
     )
     assert main([str(path)]) == 2
     assert "calibrated.urdf: Pinocchio" in capsys.readouterr().err

@@ -17,14 +17,14 @@ import pytest
 import robots
 
 import aridcal
-from aridcal.errors import AridcalError, MeasurementError, RobotError, nearest, printable, shortened
-from aridcal.inputs.tables import read_tables
-from aridcal.inputs.yaml_file import Limits, Section, Settings
-from aridcal.reading.files import Limit, read_file
-from aridcal.reading.images import image_size
-from aridcal.reading.names import check_name, check_path
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.tree import MAX_DEPTH, MAX_MOVING, read_tree
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.tree import MAX_DEPTH, MAX_MOVING, read_tree
+from aridcal.files.tables import read_tables
+from aridcal.files.yaml_file import Limits, Section, Settings
+from aridcal.system.errors import AridcalError, MeasurementError, RobotError, nearest, printable, shortened
+from aridcal.system.reading.images import image_size
+from aridcal.system.reading.regular_files import Limit, read_file
+from aridcal.system.reading.user_names import check_name, check_path
 
 PACKAGE = Path(aridcal.__file__).parent
 
@@ -103,17 +103,17 @@ def test_nobody_else_reads_a_users_file() -> None:
             if attribute in {"read_bytes", "read_text", "fromfile", "imread", "read_pickle", "genfromtxt", "loadtxt"}:
                 found.add(path.relative_to(PACKAGE).as_posix())
     assert found <= {
-        "drawing/frame.py",
-        "report/certificate.py",  # its own folder's files, and again those that were read
-        "drawing/one_page.py",
-        "drawing/scene.py",
+        "pages/drawing/frame.py",
+        "pages/certificate.py",  # its own folder's files, and again those that were read
+        "pages/drawing/one_page.py",
+        "pages/drawing/scene.py",
         "calibration.py",
         "view.py",
-        "writing/lock.py",
-        "writing/staging.py",
-        "writing/disk.py",
-        "robot/meshes.py",  # in a process of its own, within limits of its own
-        "model/memory.py",  # what the system says of its memory
+        "system/writing/lock.py",
+        "system/writing/staging.py",
+        "system/writing/disk.py",
+        "engine/robot/meshes.py",  # in a process of its own, within limits of its own
+        "engine/model/memory.py",  # what the system says of its memory
     }
 
 
@@ -182,7 +182,7 @@ def test_the_deepest_tree_that_is_allowed_is_read_in_the_stack_of_a_thread() -> 
 import sys, threading
 sys.path[:0] = {sys.path!r}
 from test_reading import a_row_of
-from aridcal.robot.chain import parse_robot
+from aridcal.engine.robot.chain import parse_robot
 def read():
     print(parse_robot(a_row_of({MAX_DEPTH - 1}), "l{MAX_DEPTH}").tree.nframes)
 threading.stack_size(512 * 1024)
@@ -215,7 +215,7 @@ def test_the_time_to_read_a_tree_grows_as_the_tree() -> None:
 
         __hash__ = str.__hash__
 
-    from aridcal.robot import tree
+    from aridcal.engine.robot import tree
 
     links = dict.fromkeys(Counted(f"l{k}") for k in range(2001))
     xml = "".join(

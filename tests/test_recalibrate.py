@@ -18,22 +18,22 @@ from test_simulate_instruments import EYE
 
 import aridcal
 from aridcal.__main__ import main
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import MeasurementError
-from aridcal.fit.constants import urdf_of
-from aridcal.fit.problem import problem
-from aridcal.inputs.measurement_settings import Units
-from aridcal.result.folder import write_results
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.robot.chain import parse_robot
-from aridcal.upkeep.answers import check_lines
-from aridcal.upkeep.checking import check
-from aridcal.upkeep.evidence import likely
-from aridcal.upkeep.left_out import left_out
-from aridcal.upkeep.new_rows import read_new_rows
-from aridcal.upkeep.repair import changes, repaired
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import urdf_of
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.files.measurement_settings import Units
+from aridcal.jobs.calibrate.folder import write_results
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.maintain.answers import check_lines
+from aridcal.jobs.maintain.checking import check
+from aridcal.jobs.maintain.likelihoods import likely
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.jobs.maintain.repair import changes, repaired
+from aridcal.jobs.maintain.repair_error import left_out
+from aridcal.system.errors import MeasurementError
 
 NAMES = robots.ur10().readings
 

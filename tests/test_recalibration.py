@@ -7,11 +7,11 @@ import pinocchio as pin
 import pytest
 import robots
 
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import fit_identifiable
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, parse_robot
-from aridcal.robot.splice import splice_origins
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import fit_identifiable
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, parse_robot
+from aridcal.engine.robot.splice import splice_origins
 
 
 def imperfect(robot: Robot, size: float, rng: np.random.Generator) -> Robot:

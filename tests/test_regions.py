@@ -15,31 +15,31 @@ import yaml
 from scipy.linalg import cholesky
 
 from aridcal.calibration import Calibration
-from aridcal.effects.basis import FORMS, Basis, wendland
-from aridcal.effects.catalogue import declared
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.kinds import Observed
-from aridcal.effects.loads import Surroundings, covariate_table
-from aridcal.effects.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
-from aridcal.effects.sights import TARGET, Sights, sight_table
-from aridcal.effects.smooth import Kernel, samples_root, smooth_precision
-from aridcal.errors import AridcalError, CampaignError
-from aridcal.inputs.campaign import EffectDeclaration, Job
-from aridcal.inputs.yaml_file import load_settings, parse_settings
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.controllers import hand_over, write_controllers
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.result.saving import calibration
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.kinematics import tip_frames
-from aridcal.search.arm import calibrated_arm, fit_constants
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.basis import FORMS, Basis, wendland
+from aridcal.engine.corrections.catalogue import declared
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.loads import Surroundings, covariate_table
+from aridcal.engine.corrections.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
+from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
+from aridcal.engine.corrections.smooth import Kernel, samples_root, smooth_precision
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.engine.search.loop import calibrated_arm, fit_constants
+from aridcal.files.campaign import EffectDeclaration, Job
+from aridcal.files.yaml_file import load_settings, parse_settings
+from aridcal.jobs.apply.target_poses import predict, read_query
+from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.system.errors import AridcalError, CampaignError
+from aridcal.system.progress import SILENT
 
 NOISE = {"position": 1e-4, "rotation": 1e-4}
 FRAMES = {

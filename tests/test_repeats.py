@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from aridcal.inputs.approach import approach
-from aridcal.inputs.repeats import blocks, by_appearance, by_content, first_alike, places, tolerances
-from aridcal.robot.chain import JointKind
+from aridcal.engine.robot.chain import JointKind
+from aridcal.engine.rows.approach import approach
+from aridcal.engine.rows.repeats import blocks, by_appearance, by_content, first_alike, places, tolerances
 
 KINDS: tuple[JointKind, ...] = ("revolute", "prismatic", "continuous")
 

@@ -17,27 +17,27 @@ from lxml import html
 from markupsafe import Markup
 from rich.console import Console
 
-from aridcal.drawing.html import join
-from aridcal.effects.basis import Basis
-from aridcal.effects.catalogue import KINDS, Barred
-from aridcal.effects.effect import Coefficient, Effect
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import KINDS, Barred
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.doty import doty_links
+from aridcal.engine.search.noise_tests import Clue
+from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
+from aridcal.engine.trust.halves import Halves
 from aridcal.identify import summary as print_summary
-from aridcal.report.data_section import data
-from aridcal.report.first_screen import checks, summary
-from aridcal.report.fit_section import fits
-from aridcal.report.page import page, write_report
-from aridcal.result.controllers import Handover, hand_over
-from aridcal.result.folder import parameters, result_document
-from aridcal.result.key_figures import or_as_well
-from aridcal.result.outcome import STATISTICS, Outcome, Verification, errors
-from aridcal.result.pipeline import identify
-from aridcal.result.verdict import Verdict
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.doty import doty_links
-from aridcal.search.noise_tests import Clue
-from aridcal.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
-from aridcal.trust.halves import Halves
-from aridcal.wording import number
+from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.folder import parameters, result_document
+from aridcal.jobs.calibrate.key_figures import or_as_well
+from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, Verification, errors
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.verdict import Verdict
+from aridcal.pages.drawing.html import join
+from aridcal.pages.report.data_section import data
+from aridcal.pages.report.first_screen import checks, summary
+from aridcal.pages.report.fit_section import fits
+from aridcal.pages.report.page import page, write_report
+from aridcal.system.wording import number
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
 HOSTILE = """<img src=x onerror="alert('1')">$\\frac{1}{0}$ &amp;"""

@@ -7,11 +7,11 @@ import pytest
 from heads import MODEL, START, THETA, poses, shots
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.fit.least_squares import fit
-from aridcal.fit.problem import problem, scaled, unscaled
-from aridcal.inputs.dataset import RowNoise, weighed, with_places
-from aridcal.instruments.camera_sonar import reduced, unpacked
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.problem import problem, scaled, unscaled
+from aridcal.engine.instruments.camera_sonar import reduced, unpacked
+from aridcal.engine.rows.dataset import RowNoise, weighed, with_places
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import pytest
 import robots
 from scipy.stats import kstest
 
-from aridcal.fit.least_squares import Fit, fit
-from aridcal.inputs.dataset import Dataset
-from aridcal.search.residual_trends import Traces, _order, trace
+from aridcal.engine.fit.least_squares import Fit, fit
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.residual_trends import Traces, _order, trace
 
 SIGMA = 1e-4
 

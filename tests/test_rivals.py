@@ -13,20 +13,20 @@ from calibrated import NOISE, machine
 from robots import measured
 from scipy.spatial.transform import Rotation
 
-from aridcal.ageing.comparison import compare
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.query import load_query
-from aridcal.result.compensate import compensate
-from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.search.confounded import weights
-from aridcal.search.evidence import Score
-from aridcal.trust.rivals import Rival
-from aridcal.upkeep.checking import check
-from aridcal.upkeep.repair import repaired
-from aridcal.upkeep.suspects import widened
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.confounded import weights
+from aridcal.engine.search.evidence import Score
+from aridcal.engine.trust.rival_predictions import Rival
+from aridcal.files.query import load_query
+from aridcal.jobs.apply.joint_commands import compensate
+from aridcal.jobs.apply.target_poses import predict, read_query
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.history.comparison import compare
+from aridcal.jobs.maintain.checking import check
+from aridcal.jobs.maintain.hypotheses import widened
+from aridcal.jobs.maintain.repair import repaired
 
 STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))

@@ -11,10 +11,10 @@ import pytest
 import robots
 import yourdfpy
 
-from aridcal.errors import RobotError
-from aridcal.robot.chain import Column, Robot, load_robot, parse_robot
-from aridcal.robot.drive import Drive
-from aridcal.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse, tree_frames
+from aridcal.engine.robot.chain import Column, Robot, load_robot, parse_robot
+from aridcal.engine.robot.drive import Drive
+from aridcal.engine.robot.kinematics import gravity_loads, joint_frames, rotations, tip_frames, transverse, tree_frames
+from aridcal.system.errors import RobotError
 
 FRANKA = robots.SHARED_ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 TIAGO = robots.SHARED_ROBOTS / "tiago_description" / "robots" / "tiago.urdf"

@@ -14,10 +14,10 @@ import pytest
 import yourdfpy
 from lxml import etree
 
-from aridcal.fit.constants import constants
-from aridcal.model.model import Model
-from aridcal.robot.chain import Robot, load_robot
-from aridcal.robot.splice import splice_origins
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, load_robot
+from aridcal.engine.robot.splice import splice_origins
 
 PUBLIC = Path(str(distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")))
 ROBOTS = {

@@ -10,17 +10,17 @@ import pytest
 from scipy.stats import rankdata, wilcoxon
 from test_hints import SLOTS, linear, made_up, with_effect
 
-from aridcal.effects.basis import Basis, evaluate
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.effects.kinds import turns
-from aridcal.fit.normal_equations import conditional
-from aridcal.search import products, state
-from aridcal.search.evidence import Score, solve
-from aridcal.search.grids import Grid, grid_of, local, moving
-from aridcal.search.linear_model import Active
-from aridcal.search.scoring import refine, signed_ranks
-from aridcal.search.screening import score_all, score_without
-from aridcal.search.state import State, activate, by_fold, solve_state, without_effect
+from aridcal.engine.corrections.basis import Basis, evaluate
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.corrections.effect_kind import turns
+from aridcal.engine.fit.normal_equations import conditional
+from aridcal.engine.search import products, state
+from aridcal.engine.search.evidence import Score, solve
+from aridcal.engine.search.grids import Grid, grid_of, local, moving
+from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.scoring import refine, signed_ranks
+from aridcal.engine.search.screening import score_all, score_without
+from aridcal.engine.search.state import State, activate, by_fold, solve_state, without_effect
 
 KNOTS = tuple(Coefficient("j1", "axis", Basis("bump", ("j1",), (c, 0.5))) for c in np.arange(-3.0, 3.1, 0.5))
 CURVE = Effect("joint_map", "j1", KNOTS, smooth=True)

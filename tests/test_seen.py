@@ -11,20 +11,20 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.kinds import bumps
-from aridcal.effects.loads import Surroundings
-from aridcal.effects.smooth import Kernel, smooth_precision
-from aridcal.fit.least_squares import fit
-from aridcal.fit.normal_equations import Prior
-from aridcal.fit.problem import BLOCK, problem
-from aridcal.model.model import Model
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import predict, read_query
-from aridcal.result.saved_model import SavedModel, SolvedModel
-from aridcal.result.saving import calibration
-from aridcal.trust.seen import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.effect_kind import bumps
+from aridcal.engine.corrections.loads import Surroundings
+from aridcal.engine.corrections.smooth import Kernel, smooth_precision
+from aridcal.engine.fit.least_squares import fit
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.model.model import Model
+from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
+from aridcal.jobs.apply.target_poses import predict, read_query
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.calibrate.saving import calibration
 
 LIMIT = 1.5
 

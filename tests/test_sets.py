@@ -14,14 +14,14 @@ from scipy.stats import multivariate_normal
 from test_hints import linear, made_up, with_effect
 
 import aridcal
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient, Effect
-from aridcal.search import exchange
-from aridcal.search.evidence import NOTHING, Solution
-from aridcal.search.linear_model import Active
-from aridcal.search.sets import PLAIN_PRICE, Choices, evidence_of_set
-from aridcal.search.state import State, solve_state
-from aridcal.showing import SILENT
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.search import set_exchange
+from aridcal.engine.search.evidence import NOTHING, Solution
+from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.sets import PLAIN_PRICE, Choices, evidence_of_set
+from aridcal.engine.search.state import State, solve_state
+from aridcal.system.progress import SILENT
 
 JOINTS = tuple(f"joint_{k}" for k in range(1, 7))
 
@@ -122,12 +122,12 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
         return SimpleNamespace(active=[SimpleNamespace(effect=e, stated=False) for e in effects], used=None)
 
     mine, other = a_set(3), a_set(curves)
-    monkeypatch.setattr(exchange, "_further_away", lambda *_: iter(()))
-    monkeypatch.setattr(exchange, "_of_families", lambda *_: other)
-    monkeypatch.setattr(exchange, "grown", lambda state, *_: (state, ()))
-    monkeypatch.setattr(exchange, "tidied", lambda state, *_: state)
-    monkeypatch.setattr(exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
-    found = exchange.regrown(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
+    monkeypatch.setattr(set_exchange, "_further_away", lambda *_: iter(()))
+    monkeypatch.setattr(set_exchange, "_of_families", lambda *_: other)
+    monkeypatch.setattr(set_exchange, "grown", lambda state, *_: (state, ()))
+    monkeypatch.setattr(set_exchange, "tidied", lambda state, *_: state)
+    monkeypatch.setattr(set_exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
+    found = set_exchange.regrown(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
     assert found is (other if taken else mine)
 
 
@@ -143,8 +143,8 @@ def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path, monkeypatch:
     _, p = model.poses(np.concatenate([truth.theta, values]), model.rows(truth.readings))
     rows[["x", "y", "z"]] = p + 5e-5 * rng.standard_normal(p.shape)
     made: list[State] = []
-    of_families = exchange._of_families
-    monkeypatch.setattr(exchange, "_of_families", lambda *asked: made.append(of_families(*asked)) or made[-1])
+    of_families = set_exchange._of_families
+    monkeypatch.setattr(set_exchange, "_of_families", lambda *asked: made.append(of_families(*asked)) or made[-1])
     cal = aridcal.calibrate(write_campaign(tmp_path, truth, rows, diagnosis={"enabled": True}))
     # Made of nothing but whole families, with no step before, it is that set, too.
     assert {a.effect.where for a in made[-1].active if a.effect.kind == "joint_harmonic"} == set(robot.names)

@@ -16,19 +16,19 @@ import robots
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import AridcalError
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.model.model import Model
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
 from aridcal.identify import main
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.read import load_measurements
-from aridcal.model.model import Model
-from aridcal.model.one_row import OneRowModel
-from aridcal.result.folder import result_document
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
 from aridcal.simulate import main as simulate
+from aridcal.system.errors import AridcalError
 
 SIGMA = 1e-4
 N = 160

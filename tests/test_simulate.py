@@ -14,15 +14,15 @@ from lxml import etree
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.catalogue import KINDS
-from aridcal.errors import CampaignError
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, truth_document
-from aridcal.result.pipeline import identify
-from aridcal.robot.chain import load_robot
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.robot.chain import load_robot
+from aridcal.files.campaign import load_campaign
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, truth_document
 from aridcal.simulate import main
+from aridcal.system.errors import CampaignError
 
 ROOT = Path(__file__).parent.parent
 ARID = ROOT / "urdf" / "arid.urdf"

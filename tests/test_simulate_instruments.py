@@ -11,20 +11,20 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import CampaignError
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.instruments.camera import INTRINSICS
+from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.files.campaign import load_campaign
+from aridcal.files.read import load_measurements
+from aridcal.files.yaml_file import load_settings
 from aridcal.identify import main as identify
-from aridcal.inputs.campaign import load_campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.read import load_measurements
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.instruments.camera import INTRINSICS
-from aridcal.instruments.catalogue import KINDS, labelled
-from aridcal.model.model import Model
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.robot.chain import load_robot
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.simulate import main
+from aridcal.system.errors import CampaignError
 
 ROOT = Path(__file__).parent.parent
 UR10 = {"urdf": str(ROOT / "urdf" / "ur10.urdf"), "tip": "tool0"}
@@ -219,7 +219,7 @@ def test_effects_bend_the_arm_and_the_target_still_meets_its_socket(tmp_path: Pa
     causes = [c for cause in (made.causes[0], made.causes[2]) for c in cause.effect.coefficients]
     bent = [c for c in made.causes[1].effect.coefficients]
     tip = made.frames["tip_target"]
-    from aridcal.prepare.simulation import surroundings
+    from aridcal.jobs.simulate.simulation import surroundings
 
     around = surroundings(made.scenario, made.frames, ())
     model = Model(robot, (*constants, *causes, *bent), ((None, made.frames["world_base"]),), ((None, tip),), around)

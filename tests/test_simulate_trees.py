@@ -14,14 +14,14 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.errors import CampaignError
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.instruments.camera import project
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.splice import splice_origins, written_origins
+from aridcal.engine.instruments.camera import project
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate
 from aridcal.simulate import main
+from aridcal.system.errors import CampaignError
 
 N = 30
 LIMIT = 1.4

@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 from lxml import etree
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import RobotError
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot, parse_robot
-from aridcal.robot.splice import rpy_near, splice_origins, written_origins
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot, parse_robot
+from aridcal.engine.robot.splice import rpy_near, splice_origins, written_origins
+from aridcal.system.errors import RobotError
 
 ROBOTS = distribution("example-robot-data").locate_file("cmeel.prefix/share/example-robot-data/robots")
 PUBLIC = (

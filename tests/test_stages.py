@@ -9,12 +9,12 @@ import pinocchio as pin
 import pytest
 import robots
 
-from aridcal.effects.effect import LINK_COMPONENTS
-from aridcal.errors import AridcalError, MeasurementError
-from aridcal.fit.constants import constants, frame_coefficients, unused_links
-from aridcal.fit.problem import problem
-from aridcal.fit.stages import Geometry, fit_geometry, recentred
-from aridcal.inputs.dataset import RowNoise, dataset, weighed
+from aridcal.engine.corrections.effect import LINK_COMPONENTS
+from aridcal.engine.fit.constants import constants, frame_coefficients, unused_links
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred
+from aridcal.engine.rows.dataset import RowNoise, dataset, weighed
+from aridcal.system.errors import AridcalError, MeasurementError
 
 ALL = ("x", "y", "z", "roll", "pitch", "yaw")
 

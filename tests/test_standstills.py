@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from aridcal.fit.problem import Problem, problem
-from aridcal.fit.scatter import Scatter, place
-from aridcal.fit.stages import fit_geometry
-from aridcal.fit.standstills import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
-from aridcal.fit.variance_components import estimate, one_more
-from aridcal.inputs.dataset import Dataset, with_places
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.fit.scatter import Scatter, place
+from aridcal.engine.fit.shared_readings import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
+from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.fit.variance_components import estimate, one_more
+from aridcal.engine.rows.dataset import Dataset, with_places
 
 RNG = np.random.default_rng(0)
 

@@ -16,11 +16,11 @@ import pytest
 import robots
 from scipy.stats import binom
 
-from aridcal.fit.flags import cluster, coordinates
-from aridcal.inputs.repeats import by_appearance, first_alike, seen_before
-from aridcal.inputs.tables import _floats
-from aridcal.result.folder import residual_table, write_results
-from aridcal.result.pipeline import identify
+from aridcal.engine.fit.flags import cluster, coordinates
+from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
+from aridcal.files.tables import _floats
+from aridcal.jobs.calibrate.folder import residual_table, write_results
+from aridcal.jobs.calibrate.pipeline import identify
 
 SLOW = {"cv2", "matplotlib", "meshcat", "pandas", "scipy", "trimesh"}
 """What takes a tenth of a second or more to load, and what draws."""
@@ -43,14 +43,15 @@ def test_what_loads_slowly_is_seen_by_this_test() -> None:
 
 def test_identify_is_ready_to_read_its_table_with_no_slow_library() -> None:
     there = loaded("import aridcal.identify")
-    assert "aridcal.inputs.read" in there  # it is what reads
+    assert "aridcal.files.read" in there  # it is what reads
     assert not there & SLOW
-    assert not {name for name in there if name.startswith(("aridcal.search", "aridcal.trust", "aridcal.report"))}
+    late = ("aridcal.engine.search", "aridcal.engine.trust", "aridcal.pages.report")
+    assert not {name for name in there if name.startswith(late)}
 
 
 def test_a_program_is_corrected_without_the_libraries_that_tables_need() -> None:
     there = loaded("import aridcal.compensate")
-    assert "aridcal.programs.correct" in there
+    assert "aridcal.jobs.apply.programs.correct" in there
     assert not there & {"pandas", "pyarrow", "openpyxl"}
 
 
@@ -92,7 +93,7 @@ def test_a_slip_in_a_table_is_told_before_what_fits_is_loaded(tmp_path: Path) ->
     rows = robots.table(truth).rename(columns={"elbow_joint": "elbow"})
     path = robots.write_campaign(tmp_path, truth, rows)
     there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 2", str(path))
-    assert "aridcal.inputs.read" in there
+    assert "aridcal.files.read" in there
     assert not there & SLOW
 
 
@@ -101,7 +102,7 @@ def test_a_whole_calibration_needs_neither_scipy_stats_nor_pandas_nor_matplotlib
     path = robots.write_campaign(tmp_path, truth)
     there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 0", str(path))
     assert (tmp_path / "results" / "report.html").stat().st_size > 100_000
-    assert {"aridcal.report.page", "scipy.linalg"} <= there
+    assert {"aridcal.pages.report.page", "scipy.linalg"} <= there
     assert not there & {"cv2", "matplotlib", "pandas", "scipy.interpolate", "scipy.stats"}
 
 

@@ -10,8 +10,8 @@ import pytest
 from robots import arid, simulate, table, write_campaign
 
 import aridcal
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
 
 NOISE = 1e-4
 

@@ -13,22 +13,22 @@ import yaml
 from scipy import stats
 
 import aridcal
-from aridcal.errors import CampaignError, OutputError
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.yaml_file import load_settings
-from aridcal.jobs.study_run import study_run
-from aridcal.overview.study_page import study_page
-from aridcal.plant import trials as room
-from aridcal.plant.curves import found_again, median, points, scatters, share
-from aridcal.plant.here import here
-from aridcal.plant.studied import SCHEMA, Studied, known_runs, studied
-from aridcal.plant.trials import Case, Trial, half, load_study, sought, trials, tried
-from aridcal.prepare.scenario import Scenario
-from aridcal.prepare.simulation import simulate, write_campaign
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.showing import SILENT
+from aridcal.files.campaign import Campaign
+from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.fleet import trials as room
+from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.study_figures import found_again, median, points, scatters, share
+from aridcal.jobs.fleet.study_runs import SCHEMA, Studied, known_runs, studied
+from aridcal.jobs.fleet.trials import Case, Trial, half, load_study, sought, trials, tried
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.jobs.simulate.simulation import simulate, write_campaign
+from aridcal.pages.study_page import study_page
+from aridcal.runs.study_run import study_run
 from aridcal.study import main
+from aridcal.system.errors import CampaignError, OutputError
+from aridcal.system.progress import SILENT
 
 ROOT = Path(__file__).parent.parent
 

@@ -27,12 +27,12 @@ EXTRAS = {
 """What is installed on request; developers have all of it."""
 
 ON_REQUEST = {
-    "dask": ("fleet", "plant/engine.py"),
-    "distributed": ("fleet", "plant/engine.py"),
-    "duckdb": ("fleet", "ageing/store.py"),
-    "rosbags": ("ros", "logs/bags.py"),
-    "robot_descriptions": ("xacro", "robot/named.py"),
-    "xacrodoc": ("xacro", "robot/expand.py"),
+    "dask": ("fleet", "jobs/fleet/cluster.py"),
+    "distributed": ("fleet", "jobs/fleet/cluster.py"),
+    "duckdb": ("fleet", "jobs/history/store.py"),
+    "rosbags": ("ros", "jobs/merge/bags.py"),
+    "robot_descriptions": ("xacro", "engine/robot/named.py"),
+    "xacrodoc": ("xacro", "engine/robot/expand.py"),
 }
 """Modules of extras: which brings each, and the only file that imports it, inside of functions."""
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import gamma, multivariate_t, norm
 
-from aridcal.fit.tails import log_density, tails_of, weights
+from aridcal.engine.fit.tails import log_density, tails_of, weights
 
 
 @pytest.mark.parametrize("freedom", [1.0, 2.0, 6.0])

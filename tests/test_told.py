@@ -11,13 +11,13 @@ import pytest
 import robots
 import yaml
 
-from aridcal.errors import CampaignError
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.predict import predict, read_query, uncertainty
-from aridcal.result.saved_model import SavedModel
-from aridcal.result.saving import calibration
-from aridcal.trust.workspace import TOLD
+from aridcal.engine.trust.workspace import TOLD
+from aridcal.jobs.apply.target_poses import predict, read_query, uncertainty
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.system.errors import CampaignError
 
 STILL = "elbow_joint"
 AT = 0.9

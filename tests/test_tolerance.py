@@ -17,21 +17,21 @@ from scipy.stats import beta, binom, norm
 
 from aridcal import identify
 from aridcal.command_line import BAD_INPUT, DONE, NOT_GOOD
-from aridcal.drawing.words import kept_in_words
-from aridcal.errors import CampaignError
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.noise import repeats
-from aridcal.fit.problem import BLOCK, problem
-from aridcal.inputs.campaign import Campaign
-from aridcal.inputs.dataset import Dataset
-from aridcal.inputs.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
-from aridcal.inputs.yaml_file import parse_settings
-from aridcal.result.pipeline import identify as run
-from aridcal.trust.certainty import as_document
-from aridcal.trust.region import region
-from aridcal.trust.tolerance import Beyond, Kept, beyond, instrument_noise, kept
-from aridcal.trust.workspace import knowledge, spread_out
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.noise import repeats
+from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.certainty import as_document
+from aridcal.engine.trust.tolerance import Beyond, Kept, beyond, instrument_noise, kept
+from aridcal.engine.trust.workspace import knowledge, spread_out
+from aridcal.files.campaign import Campaign
+from aridcal.files.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
+from aridcal.files.yaml_file import parse_settings
+from aridcal.jobs.calibrate.pipeline import identify as run
+from aridcal.jobs.calibrate.region import region
+from aridcal.pages.drawing.words import kept_in_words
+from aridcal.system.errors import CampaignError
 
 NOISE = 1e-4
 

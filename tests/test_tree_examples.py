@@ -12,15 +12,15 @@ import pinocchio as pin
 import pytest
 
 import aridcal
-from aridcal.drawing.scene import limb_names, limb_of, scene
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import urdf_of
-from aridcal.fit.problem import problem
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.inputs.read import load_measurements
-from aridcal.model.model import Model
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.splice import splice_origins, written_origins
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import urdf_of
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.splice import splice_origins, written_origins
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.files.read import load_measurements
+from aridcal.pages.drawing.scene import limb_names, limb_of, scene
 from aridcal.simulate import main as simulate
 
 ROOT = Path(__file__).parent.parent

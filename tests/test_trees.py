@@ -16,13 +16,13 @@ import yaml
 
 import aridcal
 import aridcal.compensate
-from aridcal.effects.catalogue import candidates
-from aridcal.effects.kinds import Observed
-from aridcal.errors import AridcalError, CampaignError
-from aridcal.fit.constants import urdf_of
-from aridcal.inputs.campaign import load_campaign, nominal_robot
-from aridcal.inputs.read import load_measurements
-from aridcal.robot.chain import parse_robot, with_limbs
+from aridcal.engine.corrections.catalogue import candidates
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.fit.constants import urdf_of
+from aridcal.engine.robot.chain import parse_robot, with_limbs
+from aridcal.files.campaign import load_campaign, nominal_robot
+from aridcal.files.read import load_measurements
+from aridcal.system.errors import AridcalError, CampaignError
 
 LIMIT = 1.3
 """Held-out errors of a tenth of some 150 rows scatter by less."""

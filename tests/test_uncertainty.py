@@ -9,15 +9,15 @@ import pytest
 import robots
 from scipy.spatial.transform import Rotation
 
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.noise import repeats
-from aridcal.fit.problem import problem
-from aridcal.inputs.dataset import Dataset
-from aridcal.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.model.model import Model, Rows
-from aridcal.robot.chain import parse_robot
-from aridcal.trust.uncertainty import outliers, precision, target_sigma, with_noise_seen
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.noise import repeats
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.uncertainty import outliers, precision, target_sigma, with_noise_seen
 
 
 def example(n: int = 200, noise: float = 1e-4, seed: int = 0) -> tuple[robots.Truth, Fit, Dataset]:

@@ -13,15 +13,15 @@ from program_attacks.urscript import ATTACKS, CONTROLS, FRAMES, HEAD, P, Q
 from robots import ur10
 from scipy.spatial.transform import Rotation
 
-from aridcal.errors import AridcalError
-from aridcal.programs import urscript
-from aridcal.programs.cell import Cell, Reading
-from aridcal.programs.frames import KnownFrames, read_frames
-from aridcal.programs.moves import Moves, Stop
-from aridcal.programs.project import Project, Source
-from aridcal.programs.targets import Target
-from aridcal.programs.urscript.table import RULES, Rule
-from aridcal.robot.chain import parse_robot
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.jobs.apply.programs import urscript
+from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
+from aridcal.jobs.apply.programs.moves import Moves, Stop
+from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.targets import Target
+from aridcal.jobs.apply.programs.urscript.table import RULES, Rule
+from aridcal.system.errors import AridcalError
 
 OWN_BASE = KnownFrames(bases={"default": np.eye(4)})
 

@@ -10,9 +10,9 @@ from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 from scipy.stats import kstest, multivariate_normal
 
-from aridcal.fit import minorant
-from aridcal.fit.scatter import Scatter, conditioned, derivatives, place, told_modes
-from aridcal.fit.variance_components import (
+from aridcal.engine.fit import minorant
+from aridcal.engine.fit.scatter import Scatter, conditioned, derivatives, place, told_modes
+from aridcal.engine.fit.variance_components import (
     Components,
     asked_for,
     boundary_chance,

@@ -12,15 +12,15 @@ import robots
 from rich.console import Console
 from scipy.stats import kstest
 
-from aridcal.effects.effect import Coefficient, Effect
+from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.search.noise_tests import Clue
 from aridcal.identify import summary
-from aridcal.report.first_screen import BELOW, NO_BETTER, checks
-from aridcal.report.first_screen import summary as first_screen
-from aridcal.result.folder import result_document
-from aridcal.result.outcome import Outcome
-from aridcal.result.pipeline import identify
-from aridcal.result.verdict import NOISE_UNKNOWN, decide, row_clues
-from aridcal.search.noise_tests import Clue
+from aridcal.jobs.calibrate.folder import result_document
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, decide, row_clues
+from aridcal.pages.report.first_screen import BELOW, NO_BETTER, checks
+from aridcal.pages.report.first_screen import summary as first_screen
 
 SIGMA = 1e-4
 STEP = Effect("joint_gain", "joint_1", (Coefficient("joint_1", "axis"),))

@@ -27,11 +27,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import aridcal
-from aridcal.drawing.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
-from aridcal.drawing.shapes import robot_shapes
-from aridcal.robot.chain import Robot, load_robot, parse_robot
-from aridcal.robot.meshes import TRIANGLES, weld
-from aridcal.robot.shapes import find_mesh
+from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
+from aridcal.engine.robot.link_shapes import find_mesh
+from aridcal.engine.robot.meshes import TRIANGLES, weld
+from aridcal.pages.drawing.robot_shapes import robot_shapes
+from aridcal.pages.drawing.scene import LADDER, ROWS, VIRIDIS, Scene, body_poses, scene_content, scene_page
 from aridcal.view import main
 
 ROOT = Path(aridcal.__file__).parents[1]

@@ -7,11 +7,11 @@ import yaml
 from heads import ARID, MODEL, OPTICS, SETTINGS, START, STRIP, THETA, poses, views
 
 from aridcal.__main__ import main as aridcal
-from aridcal.errors import CampaignError
-from aridcal.head.pose import Sonars
-from aridcal.head.render import Optics, photograph
-from aridcal.head.shots import sight
-from aridcal.prepare.viewpoints import draw_views
+from aridcal.jobs.head1992.render import Optics, photograph
+from aridcal.jobs.head1992.shots import sight
+from aridcal.jobs.head1992.square_pose import Sonars
+from aridcal.jobs.simulate.viewpoints import draw_views
+from aridcal.system.errors import CampaignError
 
 cv2.setNumThreads(1)
 

@@ -15,13 +15,13 @@ from scipy.linalg import null_space
 from test_trees import readings
 
 import aridcal
-from aridcal.errors import AridcalError
-from aridcal.fit.least_squares import Fit, fit_identifiable
-from aridcal.inputs.dataset import Dataset
-from aridcal.result.pipeline import identify
-from aridcal.result.saved_model import SavedModel
-from aridcal.trust import wander
-from aridcal.trust.wander import PROCESSES, SHARES, Wander, wandering, wanders, zero_of
+from aridcal.engine.fit.least_squares import Fit, fit_identifiable
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust import wander
+from aridcal.engine.trust.wander import PROCESSES, SHARES, Wander, wandering, wanders, zero_of
+from aridcal.jobs.calibrate.pipeline import identify
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.system.errors import AridcalError
 
 SPAN = 1.5
 """[m] of the arm's length: only joints that slide ask for it."""

@@ -13,9 +13,9 @@ from awkward_tables import workbook
 from openpyxl.styles.numbers import NumberFormat
 from openpyxl.worksheet.datavalidation import DataValidation
 
-from aridcal.errors import MeasurementError
-from aridcal.inputs.tables import read_tables
-from aridcal.reading.files import Limit
+from aridcal.files.tables import read_tables
+from aridcal.system.errors import MeasurementError
+from aridcal.system.reading.regular_files import Limit
 
 
 def spoilt(part: str, change: Callable[[bytes], bytes]) -> bytes:

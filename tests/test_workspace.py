@@ -13,14 +13,14 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 import aridcal
-from aridcal.effects.effect import Coefficient
-from aridcal.errors import AridcalError
-from aridcal.fit.constants import constants
-from aridcal.fit.least_squares import Fit, fit, fit_identifiable
-from aridcal.fit.problem import problem
-from aridcal.inputs.dataset import Dataset
-from aridcal.robot.kinematics import tip_frames
-from aridcal.trust.workspace import TOLD, Knowledge, Workspace, ends, knowledge, spread_out, worst_direction
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.workspace import TOLD, Knowledge, Workspace, ends, knowledge, spread_out, worst_direction
+from aridcal.system.errors import AridcalError
 
 NOISE = 1e-4
 TOOL = (0.05, -0.02, 0.3)

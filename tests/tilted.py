@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import robots
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.effects.loads import Payload
-from aridcal.fit.least_squares import Fit
-from aridcal.inputs.dataset import Dataset
-from aridcal.search.arm import fit_constants
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import Payload
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.loop import fit_constants
 
 NOISE = 1e-4
 """[m] and [rad]."""

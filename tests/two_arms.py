@@ -13,8 +13,8 @@ import pinocchio as pin
 import yaml
 from scipy.spatial.transform import Rotation
 
-from aridcal.robot.chain import parse_robot
-from aridcal.robot.splice import splice_origins, written_origins
+from aridcal.engine.robot.chain import parse_robot
+from aridcal.engine.robot.splice import splice_origins, written_origins
 
 AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
 STEPS = ("0 {y} 0.3", "0 0.02 0", "0.3 0 0.02", "0.05 0.01 0", "0.3 0 0.02", "0.05 0.01 0")

@@ -16,11 +16,11 @@ import pandas as pd
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.effects.basis import Basis
-from aridcal.effects.effect import Coefficient
-from aridcal.fit.constants import constants
-from aridcal.model.model import Model
-from aridcal.robot.chain import load_robot
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import constants
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import load_robot
 
 HERE = Path(__file__).resolve().parent
 STRIP = HERE.parent / "arid-strip"

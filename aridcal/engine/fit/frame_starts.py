@@ -1,0 +1,309 @@
+"""Closed-form starts of unknown frames, from any attitude: AX = ZB for poses, Kabsch inside for positions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.engine.fit.flags import robust_sigma
+from aridcal.engine.instruments.pose import kind_of_places, nearest_rotation, residuals
+
+FREE = 1e-3
+"""[m/m]: a target translation that moves the points by a smaller share, the base following, is left at its hint."""
+
+STRAIN = 1 / 3
+"""Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
+
+BEST = 2
+"""Target translations that are handed on: a fit of each tells which is right."""
+
+SAME = 1e-3
+"""Share of the points' spread within which two minima are one."""
+
+DESCENTS = 500
+"""Steps from each start at the most; ten are usual."""
+
+HALVINGS = 40
+"""Times that a step is halved: what then still does not fall is rounding."""
+
+ARMIJO = 1e-4
+"""Share of what the slope promises that a step must reach (Nocedal and Wright 2006, equation 3.4)."""
+
+SETTLED = 1e-12
+"""Share of the points' spread, squared, that is no gain any more: a place found to 1e-6 of it."""
+
+TURN_COUNTS = 0.1
+"""[m/rad]: how much a start's misfit in rotation counts beside that in position."""
+
+Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
+Frames = tuple[pin.SE3, ...]
+
+
+@dataclass(frozen=True)
+class FrameStart:
+    """Placements of the world_base and tip_target frames, one per station or one in all."""
+
+    world_base: Frames
+    tip_target: Frames
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Rows that tell where the target is, and the frames that each belongs to.
+
+    Attributes:
+        R: Nominal T_base_tip, shape (N, 3, 3).
+        p: Its translation, shape (N, 3), [m].
+        M: Measured rotation of the target in the world, shape (N, 3, 3), or None.
+        m: Its measured position, shape (N, 3), [m].
+        world: Number of each row's world_base frame, shape (N,).
+        tip: Number of each row's tip_target frame, shape (N,).
+    """
+
+    R: np.ndarray
+    p: np.ndarray
+    M: np.ndarray | None
+    m: np.ndarray
+    world: np.ndarray
+    tip: np.ndarray
+
+
+def start_frames(
+    data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
+) -> list[FrameStart]:
+    """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
+
+    Args:
+        data: N rows.
+        known_world: The frames, where they are not to be identified.
+        known_tip: Likewise.
+        hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
+            directions that the base can follow (a tool that never tilts).
+    """
+    if known_world is not None and known_tip is not None:
+        return [FrameStart(known_world, known_tip)]
+    if known_world is not None:
+        return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
+    if known_tip is not None:
+        t = np.array([frame.translation for frame in known_tip])
+        turned = None
+        if data.M is not None:
+            turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
+        return [FrameStart(_kabsch(data, t, turned), known_tip)]
+    hint = np.array([frame.translation for frame in hint_tip])
+    found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
+    found += _kronecker(data, hint) if data.M is not None else []
+    return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
+
+
+def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
+    """That of the starts with the smallest misfit; see :func:`start_frames`."""
+    channels = kind_of_places(data.M).channels
+
+    def left(start: FrameStart) -> float:
+        X = np.array([f.homogeneous for f in start.world_base])[data.world]
+        Y = np.array([f.homogeneous for f in start.tip_target])[data.tip]
+        T = np.broadcast_to(np.eye(4), (len(data.p), 4, 4)).copy()
+        T[:, :3, :3], T[:, :3, 3] = data.R, data.p
+        T = X @ T @ Y
+        sigma = robust_sigma(residuals(T[:, :3, :3], T[:, :3, 3], data.m, data.M), channels)
+        return float(sigma[0] + TURN_COUNTS * sigma[1:].sum())
+
+    return min(start_frames(data, known_world, known_tip, hint_tip), key=left)
+
+
+def _points(data: Posed, t: np.ndarray) -> np.ndarray:
+    """Target in the base frame for target translations t, shape (tips, 3)."""
+    return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
+
+
+def _columns(data: Posed, tips: int) -> np.ndarray:
+    """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
+    columns = np.zeros((len(data.p), 3, 3 * tips))
+    for k in range(tips):
+        columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
+    return columns
+
+
+def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Values minus the mean of the rows that share a label."""
+    out = values.copy()
+    for k in np.unique(label):
+        out[label == k] -= values[label == k].mean(axis=0)
+    return out
+
+
+def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
+    """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
+
+    Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
+    of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
+    """
+    tips = len(hint)
+    cost = _lever_cost(data, tips)
+    spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
+    size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
+    directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    minima = [_descended(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
+    lowest_first = sorted(_distinct(minima, SAME * size), key=lambda t: cost(t)[0])
+    slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
+    return [t.reshape(tips, 3) for t in _distinct(slid, SAME * size)[:BEST]]
+
+
+def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
+    """Places without those that hardly differ from one before."""
+    kept: list[np.ndarray] = []
+    for t in places:
+        if not any(np.allclose(t, other, atol=apart) for other in kept):
+            kept.append(t)
+    return kept
+
+
+def _lever_cost(data: Posed, tips: int) -> Cost:
+    r"""Misfit of target translations t and its slope, the base following by Kabsch, in units of the points' spread.
+
+    .. math:: |m|^2 + |c_0 + C t|^2 - 2 \sum_w (\sigma_1 + \sigma_2 \pm \sigma_3)(H_{0w} + H_{1w} t)
+    """
+    worlds = int(data.world.max()) + 1
+    c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
+    own = [data.world == w for w in range(worlds)]
+    H0 = np.array([m[rows].T @ c[rows] for rows in own])
+    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in own])
+    linear = np.einsum("nik,ni->k", C, c)
+    quadratic = np.einsum("nik,nil->kl", C, C)
+    measured = float(np.sum(m**2))
+    constant = float(measured + np.sum(c**2))
+    scale = max(measured, 1e-30)
+
+    def cost(t: np.ndarray) -> tuple[float, np.ndarray]:
+        curved = quadratic @ t
+        value = constant + 2 * linear @ t + t @ curved
+        slope = 2 * linear + 2 * curved
+        for first, second in zip(H0, H1, strict=True):
+            U, singular, Vt = np.linalg.svd(first + (t @ second).reshape(3, 3))
+            sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+            turn = (U * sign) @ Vt
+            value -= 2 * float(singular @ sign)
+            slope = slope - 2 * second @ turn.ravel()
+        return value / scale, slope / scale
+
+    return cost
+
+
+def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
+    """A minimum and its place, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
+
+    The library's minimisers find the same ones, and take longer to be loaded than to find them.
+    """
+    value, slope = cost(t)
+    inverse = 0.5 * size**2 * np.eye(len(t))
+    for _ in range(DESCENTS):
+        step = -inverse @ slope
+        falls = float(step @ slope)
+        for _ in range(HALVINGS):
+            found, after = cost(t + step)
+            if found <= value + ARMIJO * falls:
+                break
+            step, falls = 0.5 * step, 0.5 * falls
+        else:
+            break  # rounding
+        turn, gain = after - slope, value - found
+        t, value, slope = t + step, found, after
+        if gain < SETTLED * max(value, 1.0):
+            break
+        along = float(turn @ step)
+        if along > 0.0:  # else it curves downwards, and the matrix stays
+            across = np.eye(len(t)) - np.outer(step, turn) / along
+            inverse = across @ inverse @ across.T + np.outer(step, step) / along
+    return value, t
+
+
+def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
+    """The part of a gap from a minimum t to the hint, shape (T,), that the misfit does not notice, size being its unit [m].
+
+    What cannot be identified stays at its hint.
+    """
+    steps = 1e-2 * size * np.eye(len(t))
+    H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
+    moves, V = np.linalg.eigh(0.5 * (H + H.T))  # squared displacement of the points, [m^2/m^2]
+    misfit = size * np.sqrt(max(cost(t)[0], 1e-8))
+    reach = STRAIN * misfit / np.sqrt(np.maximum(moves - 1e-10, 1e-30))
+    along = V.T @ gap
+    return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
+
+
+def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
+    """T_world_base of each world frame for known target translations; measured rotations help where there are any.
+
+    Args:
+        data: The rows.
+        t: Target translations, shape (tips, 3).
+        turned: Rotation of the target in the base frame where it is known, shape (N, 3, 3).
+    """
+    c = _points(data, t)
+    frames = []
+    for w in range(int(data.world.max()) + 1):
+        own = data.world == w
+        middle_c, middle_m = c[own].mean(axis=0), data.m[own].mean(axis=0)
+        H = (data.m[own] - middle_m).T @ (c[own] - middle_c)
+        if turned is not None and data.M is not None:
+            size = np.trace((c[own] - middle_c).T @ (c[own] - middle_c)) / own.sum()
+            H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[own], turned[own])
+        R = nearest_rotation(H)
+        frames.append(pin.SE3(R, middle_m - R @ middle_c))
+    return tuple(frames)
+
+
+def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]:
+    """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
+    assert data.M is not None
+    turns = []
+    for w in range(int(data.world.max()) + 1):
+        own = data.world == w
+        K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
+        turns.append(np.linalg.svd(K)[0][:, 0].reshape(3, 3))
+    rotations = [np.array([nearest_rotation(sign * turn) for turn in turns]) for sign in (1.0, -1.0)]
+    return [_translations(data, RX, hint) for RX in rotations]
+
+
+def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames, np.ndarray]:
+    """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
+    tips, n = len(hint), len(data.p)
+    turn = RX[data.world]
+    columns = np.einsum("nij,njk->nik", turn, _columns(data, tips))
+    rest = data.m - np.einsum("nij,nj->ni", turn, _points(data, hint))
+    A, b = _centred(columns, data.world), _centred(rest, data.world)
+    information = np.einsum("nik,nil->kl", A, A) / n
+    pull = np.einsum("nik,ni->k", A, b) / n
+    moves, V = np.linalg.eigh(information)
+    inverse = np.where(moves < FREE**2, 0.0, 1.0 / np.maximum(moves, FREE**2))
+    x = V @ (inverse * (V.T @ pull))
+    tX = rest - columns @ x
+    bases = [tX[data.world == w].mean(axis=0) for w in range(len(RX))]
+    world_base = tuple(pin.SE3(R, base) for R, base in zip(RX, bases, strict=True))
+    return world_base, hint + x.reshape(tips, 3)
+
+
+def _seen_from(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
+    """Target translations t, shape (tips, 3), that belong to given world_base frames."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
+    tX = np.array([frame.translation for frame in world_base])[data.world]
+    target = np.einsum("nji,nj->ni", RX @ data.R, data.m - tX)
+    lever = target - np.einsum("nji,nj->ni", data.R, data.p)
+    return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
+
+
+def _with_target(data: Posed, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
+    """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
+    RX = np.array([frame.rotation for frame in world_base])[data.world]
+    tips = []
+    for k, frame in enumerate(hint):
+        own, rotation = data.tip == k, frame.rotation
+        if data.M is not None:
+            turned = RX[own] @ data.R[own]
+            rotation = nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[own]))
+        tips.append(pin.SE3(rotation, t[k]))
+    return FrameStart(world_base, tuple(tips))

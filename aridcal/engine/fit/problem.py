@@ -1,0 +1,220 @@
+"""A model asked about the rows of a data set: measured minus predicted, and its derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.engine.fit.elimination import Groups, Known, groups, known, moved
+from aridcal.engine.fit.noise import carried
+from aridcal.engine.instruments.channels import Channels
+from aridcal.engine.instruments.setup import Instruments
+from aridcal.engine.model.local import Local
+from aridcal.engine.model.many_rows import BLOCK, blocks
+from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.predictions import Measured, States, measured, rows_at
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.system.progress import SILENT, Progress
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """A stretch of n rows of m numbers.
+
+    Attributes:
+        r: Scaled residuals, shape (n, m); 0 where a row does not measure a channel.
+        J: Columns of the coefficients, things held, shape (n, m, K).
+        B: Columns of the unknowns of the rows' groups, shape (n, m, U); U = 0 where there are none.
+        agreed: Joint positions nearer to where the measurements agree with the model, shape (n, joints).
+    """
+
+    r: np.ndarray
+    J: np.ndarray
+    B: np.ndarray
+    agreed: np.ndarray
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A model asked about the rows of a data set, each of its weight.
+
+    Attributes:
+        data: N rows, m numbers each.
+        measured: What they read and of which things, beside the model, K coefficients.
+        groups: Unknowns of things that are solved for beside the coefficients; None where there are none.
+        progress: Told how far each pass over the rows is.
+    """
+
+    data: Dataset
+    measured: Measured
+    groups: Groups | None = None
+    progress: Progress = SILENT
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    @property
+    def model(self) -> Model:
+        """What is to predict the rows."""
+        return self.measured.model
+
+    @property
+    def rows(self) -> Rows:
+        """The rows as the model sees them."""
+        return self.measured.rows
+
+    @property
+    def states(self) -> States:
+        """Where the things are."""
+        return self.measured.states
+
+    @property
+    def instruments(self) -> Instruments:
+        """All things that model or rows know of."""
+        return self.measured.instruments
+
+    @property
+    def channels(self) -> Channels:
+        """What each row measures."""
+        return self.data.channels
+
+    def blocks(self) -> Iterator[slice]:
+        """Stretches of rows that are differentiated at a time; their passing is told."""
+        yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
+
+    def limbs(self, part: slice) -> list[slice | np.ndarray]:
+        """Rows of a stretch that take the same path, by their places in it."""
+        if self.rows.route is None:
+            return [slice(None)]
+        route = self.rows.route[part]
+        return [np.flatnonzero(route == path) for path in np.unique(route)]
+
+    def select(self, some: np.ndarray) -> Problem:
+        """The same question about some of the rows."""
+        groups = None if self.groups is None else self.groups.select(some)
+        return replace(self, data=self.data.select(some), measured=self.measured[some], groups=groups)
+
+    def with_states(self, states: States) -> Problem:
+        """The same with the things elsewhere."""
+        return replace(self, measured=replace(self.measured, states=states))
+
+    def residual(self, theta: np.ndarray) -> np.ndarray:
+        """Measured minus predicted, shape (N, m); see :meth:`Measured.residual`."""
+        return self.measured.residual(theta)
+
+    def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
+        """The same, divided by the rows' relative sigmas."""
+        return scaled(self.residual(theta), self.data.relative)
+
+    def linearised(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled residuals (n, m) of a stretch of rows, and what each coefficient takes off them, shape (n, m, K)."""
+        pieces = self.pieces(theta, part)
+        return pieces.r, pieces.J
+
+    def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> Pieces:
+        """Scaled residuals of a stretch of rows, and what takes them off."""
+        here, relative = self.measured[part], None if self.data.relative is None else self.data.relative[part]
+        if here.direct:
+            r, twists = self.of_joints(theta, part)
+            J = self.model.of_coefficients(twists, here.rows)
+            return Pieces(r, J, np.zeros((*r.shape, 0)), here.rows.positions)
+        seen = here.sight(theta)
+        none = np.zeros((*seen.residual.shape, 0))
+        B = none if self.groups is None else self.groups.columns(seen.by_thing, part)
+        r, J, B = (scaled(values, relative) for values in (seen.residual, seen.by_coefficient, B))
+        return Pieces(r, J, B, seen.agreed)
+
+    def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
+        """Scaled residuals (n, m) of a stretch of direct rows, and what joints take off them, (n, m, joints)."""
+        relative = None if self.data.relative is None else self.data.relative[part]
+        r, twists = self.measured[part].of_joints(theta, relative is not None)
+        return scaled(r, relative), scaled(twists, relative)
+
+    def carried(self, theta: np.ndarray, covariance: np.ndarray, part: slice) -> np.ndarray:
+        """What a covariance of the coefficients, (K, K), makes of the scaled residuals of a stretch of rows, (n, m, m)."""
+        local = self.local
+        if local is None:
+            return carried(self.pieces(theta, part).J, covariance)
+        return local.carried(self.of_joints(theta, part)[1], self.rows.phi[part], covariance)
+
+    @property
+    def local(self) -> Local | None:
+        """Which coefficients act in few rows, if direct rows are many; None where a column for each of them is quicker."""
+        return self.model.local if self.measured.direct else None
+
+    def taken(self, weight: np.ndarray) -> np.ndarray:
+        """Numbers of each channel that unknown things take up, shape (C,), in rows of some weight, shape (N,)."""
+        count = np.zeros(len(self.channels))
+        if self.groups is None:
+            return count
+        used = (weight > 0.0) & (self.groups.row >= 0)
+        sizes = self.groups.unknown.sum(axis=1)
+        pair = self.groups.row[used] * len(count) + self.data.measures[used].argmax(axis=1)
+        rows = np.bincount(pair, minlength=len(sizes) * len(count)).reshape(len(sizes), len(count))
+        return np.asarray(sizes @ (rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)))
+
+    def group_of(self, part: slice) -> np.ndarray:
+        """Group of each of a stretch of rows, -1 for none."""
+        return self.groups.row[part] if self.groups is not None else np.full(len(self.rows[part]), -1)
+
+    def beforehand(self) -> Known | None:
+        """What is known of the groups beforehand, about where their things are."""
+        return None if self.groups is None else known(self.groups, self.instruments, self.states)
+
+    def settled(self, theta: np.ndarray) -> Problem:
+        """The same with the things that the model does not know found from these rows alone."""
+        return replace(self, measured=self.measured.settled(theta))
+
+    def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
+        """The same with the groups' unknowns moved, shape (G, U), and differentiated at positions (N, joints) if given."""
+        states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
+        seen = replace(self.measured, states=states)
+        if agreed is not None:
+            seen = replace(seen, agreed=self._rows_at(agreed) if seen.wide is not None else seen.rows)
+        return replace(self, measured=seen)
+
+    def _rows_at(self, positions: np.ndarray) -> Rows:
+        """The rows at other joint positions, shape (N, joints)."""
+        return rows_at(self.measured, self.data, positions)
+
+    def agreeing(self, theta: np.ndarray) -> Problem:
+        """The same, differentiated where measurements and model agree, unless it is already; see :meth:`Measured.agreeing`."""
+        if self.measured.agreed is not None:
+            return self
+        return replace(self, measured=self.measured.agreeing(theta, self._rows_at))
+
+
+def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:
+    """Ask a model about a data set.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that was not measured.
+        MeasurementError: a row's station is none of those that the model knows.
+    """
+    seen = measured(model, data)
+    return Problem(data, seen, groups(seen), progress)
+
+
+def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
+    """Residuals or columns, shape (N, m) or (N, m, K), divided by the rows' relative sigmas (see :class:`Dataset`)."""
+    if relative is None or not values.size:
+        return values
+    wide = values.reshape(*values.shape[:2], -1)
+    if relative.ndim == 3:
+        divided = np.linalg.solve(relative, np.nan_to_num(wide))
+        divided[np.isnan(wide)] = np.nan  # channels that a row does not measure
+    else:
+        divided = wide / relative[:, :, None]
+    return np.asarray(divided.reshape(values.shape))
+
+
+def unscaled(r: np.ndarray, relative: np.ndarray | None) -> np.ndarray:
+    """Scaled residuals, shape (N, m), back in [m] and [rad]."""
+    if relative is None:
+        return r
+    if relative.ndim < 3:
+        return np.asarray(r * relative)
+    stretched = np.einsum("nij,nj->ni", relative, np.nan_to_num(r))
+    return np.where(np.isnan(r), np.nan, stretched)

@@ -1,0 +1,73 @@
+"""What a calibration is asked: which frames and constants are unknown, what is stated, and which effects may be sought."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.engine.corrections.effect_kind import Declaration
+from aridcal.engine.corrections.loads import Payload
+
+DOWN = (0.0, 0.0, -9.81)
+"""Gravity in a base that stands level, [m/s^2]."""
+
+
+@dataclass(frozen=True)
+class EndFrame:
+    """A frame at one end of the chain.
+
+    Attributes:
+        at: Its place in the world, or on the link that carries it; a hint where it is unknown.
+        unknown: True if it is to be identified.
+        by_station: True if each station has its own.
+    """
+
+    at: pin.SE3 = field(default_factory=pin.SE3.Identity)
+    unknown: bool = True
+    by_station: bool = False
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of the rows of a robot.
+
+    Attributes:
+        world_base: T_world_base.
+        tip_target: T_tip_target of a target without a label, and the hint for those of which nothing is said.
+        targets: Of targets with labels.
+        target_on: Links other than the tip that carry targets, by the targets' labels.
+        constants: Set of constants: ``full``, ``doty``, ``angles`` or ``none``.
+        gravity: In the base frame, shape (3,), [m/s^2]; None: along -z of the world frame.
+        payloads: Masses that hang at links; none: at the target of the default path, where rows have a payload.
+        effects: Effects that are stated.
+        sought: Kinds of effects that may be sought beside them.
+        source: Who asks, for messages: the file of a campaign.
+    """
+
+    world_base: EndFrame = EndFrame()
+    tip_target: EndFrame = EndFrame()
+    targets: Mapping[str, EndFrame] = field(default_factory=dict)
+    target_on: Mapping[str, str] = field(default_factory=dict)
+    constants: str = "full"
+    gravity: np.ndarray | None = field(default_factory=lambda: np.array(DOWN))
+    payloads: tuple[Payload, ...] = ()
+    effects: tuple[Declaration, ...] = ()
+    sought: tuple[str, ...] = ()
+    source: Path = Path()
+
+    @property
+    def by_station(self) -> bool:
+        """True where a frame is one for each station, so that every row must say at which it is."""
+        return self.world_base.by_station or self.tip_target.by_station
+
+    def target(self, label: str | None) -> EndFrame:
+        """The frame of a target by its label; one that no key names has the hint of all."""
+        return self.targets.get(str(label), self.tip_target)
+
+    def without_search(self) -> Question:
+        """The same with the stated effects alone."""
+        return replace(self, sought=())

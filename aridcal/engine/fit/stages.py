@@ -1,0 +1,243 @@
+"""The nominal and the geometric stage of a calibration: frames alone, then frames with the identifiable constants."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.closed_form import closed_form_starts
+from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
+from aridcal.engine.fit.flags import robust_sigma
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import Problem, problem, unscaled
+from aridcal.engine.fit.question import EndFrame, Question
+from aridcal.engine.fit.thing_starts import MOST_ROWS, NominalRows, beginning
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.instruments.setup import TIP
+from aridcal.engine.model.model import Model
+from aridcal.engine.model.predictions import measured, rows_of_data
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.system.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
+from aridcal.system.progress import SILENT, Progress
+
+STRANGE_SHARE, STRANGE_LENGTH, STRANGE_ANGLE = 0.05, 5e-3, 0.2
+"""What no robot leaves after calibration, so that the measurements must be of something else: a twentieth of the targets'
+spread and 5 mm per axis, or 200 mrad per axis."""
+
+STRANGE_PIXELS = 40.0
+"""The same of pixels: at a usual focal length 40 px are 3 degrees."""
+
+RESTART_ROWS = 150
+"""Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
+
+AROUND = 2
+"""Starts that are drawn around the answer."""
+
+REACH_ANGLE, REACH_LENGTH = 0.05, 0.02
+"""How far from the answer those are, [rad] and [m]: ten times what robots are usually wrong by."""
+
+SAME = 0.01
+"""Share of sigma by which residuals of one minimum may differ."""
+
+LENGTHS = frozenset({"x", "y", "z", "a", "d"})
+"""Components in [m]."""
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Two fits of the same rows: frames alone, and frames with the identifiable constants.
+
+    Attributes:
+        nominal: Frames alone.
+        geometric: With the constants; the same as ``nominal`` where nothing predicts held-back rows better than that.
+        kept: Why the constants stay nominal, in words; empty if they do not.
+        free: Share of the numbers measured that the model which was not kept leaves.
+    """
+
+    nominal: Fit
+    geometric: Fit
+    kept: str = ""
+    free: float = 1.0
+
+
+def fit_geometry(
+    question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], progress: Progress = SILENT
+) -> Geometry:
+    """Fit the frames alone, then the frames and the identifiable constants.
+
+    Args:
+        question: Which frames and which set of constants.
+        robot: The nominal chain.
+        train: Rows to fit.
+        labels: All stations, where a frame is per station.
+        progress: Told how far each pass over the rows is.
+
+    Raises:
+        NotIdentifiable: nothing can be identified from these rows.
+        NotOfThisRobot: the rows cannot be of this robot.
+    """
+    frames = frame_coefficients(question, labels, train)
+    asked = problem(_start(question, robot, train, labels, frames), train, progress)
+    try:
+        nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
+    except NotIdentifiable:
+        zero = np.zeros(len(frames))
+        _refuse_strangers(asked, asked.model, zero, asked.residual(zero))
+        raise
+    candidates = frames + constants(robot, question.constants)
+    geometric = nominal
+    if candidates:
+        centred, _ = nominal.model.recentred(nominal.theta)
+        asked = problem(centred.with_coefficients(candidates), train, progress)
+        geometric = fit_identifiable(asked, range(len(candidates)), _alike(candidates, len(frames)))
+    _refuse_strangers(asked, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
+    return Geometry(nominal, with_restarts(geometric, train, progress) if candidates else nominal)
+
+
+def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
+    """Indices of the constants that are lengths, and of those that are angles; the frames before them are neither."""
+    constants = range(frames, len(candidates))
+    lengths = [k for k in constants if candidates[k].component in LENGTHS]
+    return lengths, [k for k in constants if k not in set(lengths)]
+
+
+def _start(
+    question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
+) -> Model:
+    """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
+    bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
+    seen = measured(bare, train)
+    world, tip = question.world_base, question.tip_target
+    names = frame_labels("tip_target", tip, labels, train)
+    station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
+    if train.labels.target is not None:
+        number = np.searchsorted(np.array(names), train.labels.target.astype(str))
+    if seen.direct:
+        some = thin(replace(seen.rows, world=station, tip=number), MOST_ROWS)
+        train, seen, station, number = train.select(some), seen[some], station[some], number[some]
+    R, p = bare.poses(np.zeros(0), seen.rows)
+    hints = {k: pin.SE3.Identity() if name == TIP else question.target(name).at for k, name in enumerate(names)}
+    fixed = not measures_target(train)
+    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown}
+    known = None if world.unknown and has_world(train) else world.at
+    start = beginning(NominalRows(train, seen, R, p, number, hints, held, station, known))
+    return Model(
+        robot,
+        frames,
+        tuple(zip(frame_labels("world_base", world, labels, train), start.world_base, strict=True)),
+        tuple((name, start.tip_target[k]) for k, name in enumerate(names)),
+        instruments=train.instruments,
+        states=start.states,
+        routes=train.labels.routes,
+        target_on=question.target_on,
+    )
+
+
+def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+    """How far the rows are from the nominal robot whose frames are placed in closed form: quick, and nearly the fit's.
+
+    Returns:
+        Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
+    """
+    model = _start(question, robot, rows, labels, ())
+    some = thin(rows_of_data(model, rows), MOST_ROWS)
+    return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
+
+
+def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
+    """The geometric model with the things where effects of the final one have them always; None if it has no such effects."""
+    model, instruments = geometric.model, final.model.instruments
+    at_things = np.flatnonzero(final.model.at_things).tolist()
+    moving = [k for k in at_things if final.model.coefficients[k].basis.form == "ones"]
+    if not moving:
+        return None
+    states = {name: model.states.get(name, things.start).copy() for name, things in instruments.things.items()}
+    for role, things in instruments.things.items():
+        change = np.zeros((len(things), len(things.role.components)))
+        for k in moving:
+            c = final.model.coefficients[k]
+            if c.where in things.places:
+                change[things.places[c.where], things.role.moved_by(c.where, c.component)] += final.theta[k]
+        states[role] = things.role.moved(states[role], change)
+    return replace(model, states=states)
+
+
+def recentred(fit: Fit) -> Fit:
+    """The same fit with its frames at their identified place: their coefficients' std is a twist in their own axes."""
+    model, theta = fit.model.recentred(fit.theta)
+    return replace(fit, model=model, theta=theta)
+
+
+def _refuse_strangers(asked: Problem, model: Model, theta: np.ndarray, residual: np.ndarray) -> None:
+    """Refuse measurements that cannot be of this robot: a result would look like one and be none.
+
+    Args:
+        asked: N rows.
+        model: The geometry.
+        theta: Its coefficients.
+        residual: What it leaves of the rows, shape (N, m), [m] and [rad].
+
+    Raises:
+        NotOfThisRobot: naming what to check.
+    """
+    train = asked.data
+    places = np.where(np.isnan(train.position), model.poses(theta, asked.rows)[1], train.position)
+    centre = places - np.nanmean(places, axis=0)
+    extent = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
+    most = {"m": max(STRANGE_SHARE * extent, STRANGE_LENGTH), "rad": STRANGE_ANGLE, "px": STRANGE_PIXELS}
+    sigmas = zip(train.channels, robust_sigma(residual, train.channels).tolist(), strict=True)
+    strange = [(channel.unit, sigma) for channel, sigma in sigmas if sigma > most.get(channel.unit, np.inf)]
+    if not strange:
+        return
+    unit, sigma = strange[0]
+    columns = "every joint's column, unit, sign and order of rows"
+    left, advice = {
+        "m": (
+            f"{1e3 * sigma:.0f} mm per axis of the {1e3 * extent:.0f} mm by which the targets spread",
+            f"{columns}, and the unit of the positions",
+        ),
+        "rad": (f"{1e3 * sigma:.0f} mrad per axis", "the order qx qy qz qw, `orientation` and its unit"),
+        "px": (f"{sigma:.0f} px per axis", f"{columns}, which marker is which, and that no image is mirrored"),
+    }[unit]
+    raise NotOfThisRobot(
+        f"{train.title}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
+        "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
+    )
+
+
+def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
+    """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
+    if not frame.by_station:
+        return np.zeros(len(train), dtype=int)
+    if train.labels.station is None or not labels:
+        raise MeasurementError("a frame is per station: the table needs a `station` column")
+    number = {label: k for k, label in enumerate(labels)}
+    return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
+
+
+def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
+    """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
+    some = thin(rows_of_data(found.model, train), max(RESTART_ROWS, 4 * len(found.theta)))
+    part = problem(found.model, train.select(some), progress)
+    weight = found.weight[some]
+    prior = Prior(np.zeros(len(found.theta)), found.believed) if found.believed.any() else None
+    reference = minimise(part, found.theta, weight, prior)
+    is_length = np.array([c.component in LENGTHS for c in found.model.coefficients])
+    reach = np.where(is_length, REACH_LENGTH, REACH_ANGLE)
+    reach[found.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
+    rng = np.random.default_rng(0)
+    others = [found.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
+    others += closed_form_starts(found, part.data)
+    tolerance = SAME * spread(reference.sigma, train.channels)
+    agreed = 0
+    for theta in progress.over(others, "other starts"):
+        other = minimise(part, theta, weight, prior)
+        off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
+        agreed += not np.any(off > tolerance)  # NaN in what a row does not measure
+    return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))

@@ -1,0 +1,419 @@
+r"""A shot of a measuring head: image points of a square and ranges to it, as a pose of the camera and what they say beyond it.
+
+A shot has more image points and ranges than a pose has coordinates. With B their derivatives by the square's twist t and D
+those by the head's numbers :math:`\varphi`, all divided by the noise, and y what is measured less what is predicted,
+
+.. math:: y = B\,t + D\,d\varphi + noise
+
+falls into two parts that share no noise: the pose :math:`C B^T (y - D\,d\varphi)`, :math:`C = (B^T B)^{-1}`, and what is
+left of y off the columns of B, which knows nothing of the arm. Of that as much is kept as tells of the numbers: with
+
+.. math:: [B\; D] = [Q\; U] \begin{pmatrix} R_{11} & R_{12} \\ 0 & R_{22} \end{pmatrix}
+
+for the head as declared, the trace :math:`z = U^T y` has noise of one, and the derivative
+:math:`-U^T (1 - B C B^T) D` by the numbers (variable projection; Golub and Pereyra 1973). A row measures the pose and the
+trace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.engine.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
+from aridcal.engine.instruments.kind import Kind, Role, Seen, States
+from aridcal.engine.instruments.pose import residuals, turned_back
+
+CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
+"""Places of corrections of a head: its camera, and what all its sonars have alike; single ones are ``sonar_1`` and so on."""
+
+PER_SONAR = ("bias", "scale")
+"""What may be wrong with a sonar: what it adds [m], and the share by which it reads too much."""
+
+POSE = 6
+"""Coordinates of a pose."""
+
+PLACES, COUNT = 25, 24
+"""Numbers of a row before its ranges: T_world_square and a first T_camera_square, their upper three rows, and the last of them,
+how many numbers the shot has read."""
+
+PER_MARK = 8
+"""Numbers of an image point: its place on the square (3), its pixel (2), and the lower triangle that divides by its noise."""
+
+STEPS, STILL = 20, 1e-12
+"""Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
+
+SHORTEN = 4.0
+"""A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """The camera and the sonars of a head, by their numbers.
+
+    Attributes:
+        phi: ``INTRINSICS``, then what each sonar adds [m], then by which share it reads too much, shape (9 + 2 S,).
+        positions: Sensors in Doty's camera frame, shape (S, 3), [m].
+        measures: What a reading is.
+        std: Of a reading, [m].
+    """
+
+    phi: np.ndarray
+    positions: np.ndarray
+    measures: Measures
+    std: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the numbers: ``camera.fx`` ... ``sonar_1.bias`` ... ``sonar_1.scale`` ..."""
+        count = range(1, len(self.positions) + 1)
+        sonars = [f"{SONAR}_{k}.{what}" for what in PER_SONAR for k in count]
+        return (*(f"{CAMERA}.{name}" for name in INTRINSICS), *sonars)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the numbers."""
+        lens = ["px" if name[0] in "fc" else "1" for name in INTRINSICS]
+        return (*lens, *(len(self.positions) * ["m"]), *(len(self.positions) * ["1"]))
+
+    @property
+    def intrinsics(self) -> np.ndarray:
+        """Of the camera, shape (9,)."""
+        return self.phi[: len(INTRINSICS)]
+
+    @property
+    def bias(self) -> np.ndarray:
+        """What each sonar adds, shape (S,), [m]."""
+        return self.phi[len(INTRINSICS) :][: len(self.positions)]
+
+    @property
+    def scale(self) -> np.ndarray:
+        """By which share each sonar reads too much, shape (S,)."""
+        return self.phi[len(INTRINSICS) + len(self.positions) :]
+
+    @property
+    def state(self) -> np.ndarray:
+        """All of it as the state of a thing: ``phi`` first, shape (11 + 5 S,)."""
+        along = float(self.measures == "along_axis")
+        return np.concatenate([self.phi, self.positions.ravel(), [along, self.std]])
+
+    @classmethod
+    def of_state(cls, state: np.ndarray) -> Head:
+        """The head that has a state, shape (11 + 5 S,)."""
+        count = (len(state) - len(INTRINSICS) - 2) // 5
+        phi, positions = np.split(state[:-2], [len(INTRINSICS) + 2 * count])
+        return cls(phi, positions.reshape(-1, 3), "along_axis" if state[-2] else "perpendicular", float(state[-1]))
+
+    @property
+    def role(self) -> Role:
+        """What rows refer to: the head's numbers, by the places where corrections of them act."""
+        places: dict[str, tuple[str, ...]] = {name: (name,) for name in self.names}
+        places[f"{CAMERA}.f"] = (f"{CAMERA}.fx", f"{CAMERA}.fy")
+        if len(self.positions):
+            every = range(1, len(self.positions) + 1)
+            places |= {f"{ALL_SONARS}.{what}": tuple(f"{SONAR}_{k}.{what}" for k in every) for what in PER_SONAR}
+        return Role(HEAD, self.names, self.units, len(self.state), _moved, None, (), many=False, places=places)
+
+
+def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """The state of heads, (n, P), with their numbers changed, (n, H)."""
+    wide = np.zeros_like(state)
+    wide[:, : change.shape[1]] = change
+    return state + wide
+
+
+HEAD = "head"
+"""Name of the role, and of the only thing of it."""
+
+
+@dataclass(frozen=True)
+class HeadShot:
+    """What a head read in one shot.
+
+    Attributes:
+        points: Fiducials in the frame of the square, shape (M, 3), [m].
+        pixels: Their images, shape (M, 2).
+        covariances: Of those, shape (M, 2, 2), [px²].
+        ranges: As the sonars read them, shape (S,), [m].
+        T_world_square: Shape (4, 4).
+        T_camera_square: Where a fit of the pose may start, shape (4, 4).
+    """
+
+    points: np.ndarray
+    pixels: np.ndarray
+    covariances: np.ndarray
+    ranges: np.ndarray
+    T_world_square: np.ndarray
+    T_camera_square: np.ndarray
+
+
+@dataclass(frozen=True)
+class Shots:
+    """What n shots read, unpacked from rows.
+
+    Attributes:
+        T_world_square: Upper three rows, shape (n, 3, 4).
+        start: A first T_camera_square, likewise.
+        ranges: As the sonars read them, shape (n, S), [m].
+        points: On the square, shape (n, M, 3), [m]; where a shot has fewer, its origin.
+        pixels: Shape (n, M, 2).
+        whiten: What divides them by their noise, shape (n, M, 2, 2); zero where a shot has fewer.
+        count: Numbers that each shot has read, shape (n,).
+        basis: U, shape (n, S + 2 M, 9 + S): ranges first. Bias and scale of a sonar are one within a shot.
+    """
+
+    T_world_square: np.ndarray
+    start: np.ndarray
+    ranges: np.ndarray
+    points: np.ndarray
+    pixels: np.ndarray
+    whiten: np.ndarray
+    count: np.ndarray
+    basis: np.ndarray
+
+
+def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
+    """What n shots of a head read, as declared, as rows of numbers, shape (n, W): see :func:`unpacked`."""
+    n, S = len(shots), len(head.positions)
+    size = len(INTRINSICS) + S
+    enough = -(-(POSE + size - S) // 2)  # for a basis of pose and trace
+    count = max(enough, *(len(shot.points) for shot in shots))
+    own = [
+        [shot.T_world_square[:3].ravel(), shot.T_camera_square[:3].ravel(), [S + 2 * len(shot.points)], shot.ranges]
+        for shot in shots
+    ]
+    marks = [_marks(shot, count).ravel() for shot in shots]
+    read = np.array([np.concatenate([*parts, numbers]) for parts, numbers in zip(own, marks, strict=True)])
+    rows = np.hstack([read, np.zeros((n, (S + 2 * count) * size))])
+    _, _, B, D = _at_best(unpacked(rows, S), head)
+    Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :size]], axis=2))
+    sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
+    rows[:, read.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
+    return rows
+
+
+def _marks(shot: HeadShot, count: int) -> np.ndarray:
+    """Numbers of image points, shape (count, 8): NaN beyond those that a shot has."""
+    made = np.full((count, PER_MARK), np.nan)
+    lower = np.linalg.inv(np.linalg.cholesky(shot.covariances))
+    made[: len(lower)] = np.hstack([shot.points, shot.pixels, lower[:, [0, 1, 1], [0, 0, 1]]])
+    return made
+
+
+def unpacked(observed: np.ndarray, sonars: int) -> Shots:
+    """Rows of numbers as shots: two poses and how many numbers a shot has, ranges, image points, and the basis of its trace."""
+    n, size = len(observed), len(INTRINSICS) + sonars
+    count = (observed.shape[1] - PLACES - sonars - sonars * size) // (PER_MARK + 2 * size)
+    ends = np.cumsum([12, 12, 1, sonars, PER_MARK * count])
+    world, start, numbers, ranges, marks, basis = np.split(observed, ends, axis=1)
+    marks = marks.reshape(n, count, PER_MARK)
+    marks = np.where(np.isnan(marks[:, :, :1]), 0.0, marks)
+    whiten = np.zeros((n, count, 2, 2))
+    whiten[..., [0, 1, 1], [0, 0, 1]] = marks[..., 5:]
+    return Shots(
+        T_world_square=world.reshape(n, 3, 4),
+        start=start.reshape(n, 3, 4),
+        ranges=ranges,
+        points=marks[..., :3],
+        pixels=marks[..., 3:5],
+        whiten=whiten,
+        count=numbers[:, 0],
+        basis=basis.reshape(n, sonars + 2 * count, size),
+    )
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """n shots as poses, and what they say of the head beyond them.
+
+    Attributes:
+        rotation: Of the camera in the world, shape (n, 3, 3).
+        position: Shape (n, 3), [m].
+        covariance: Of position [m] and rotation vector [rad] in world axes, shape (n, 6, 6).
+        sensitivity: Twist (linear, angular) of the camera in world axes per unit of each of the head's numbers, (n, 6, H).
+        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`beyond` says, so that sums over a row have no holes.
+        slope: What a change of the head's numbers takes off it, shape (n, 9 + S, H).
+        misfit: Chi-square of what a shot has beyond its pose, shape (n,).
+        freedom: Its degrees of freedom, shape (n,).
+        range_residuals: What each sonar reads beyond the pose, shape (n, S), [m].
+    """
+
+    rotation: np.ndarray
+    position: np.ndarray
+    covariance: np.ndarray
+    sensitivity: np.ndarray
+    trace: np.ndarray
+    slope: np.ndarray
+    misfit: np.ndarray
+    freedom: np.ndarray
+    range_residuals: np.ndarray
+
+
+def reduced(shots: Shots, head: Head) -> Reduced:
+    """Reduce shots, the head being as given."""
+    T, y, B, D = _at_best(shots, head)
+    back, S = B.transpose(0, 2, 1), shots.ranges.shape[1]
+    C = _inverse(back @ B)
+    twist_by_phi = -C @ (back @ D)
+    trace = np.einsum("nij,ni->nj", shots.basis, y)
+    left = shots.count - POSE
+    trace[beyond(left, trace.shape[1])] = 0.0
+    Rc = T[:, :, :3].transpose(0, 2, 1)
+    p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
+    world = shots.T_world_square
+    J = carried(world[:, :, :3], p)
+    return Reduced(
+        rotation=world[:, :, :3] @ Rc,
+        position=np.einsum("nij,nj->ni", world[:, :, :3], p) + world[:, :, 3],
+        covariance=J @ C @ J.transpose(0, 2, 1),
+        sensitivity=J @ twist_by_phi,
+        trace=trace,
+        slope=shots.basis.transpose(0, 2, 1) @ (D + B @ twist_by_phi),
+        misfit=np.einsum("ni,ni->n", y, y),
+        freedom=left,
+        range_residuals=y[:, :S] * head.std,
+    )
+
+
+def _at_best(shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Where image points and ranges fit best.
+
+    Returns:
+        Upper rows of T_camera_square (n, 3, 4), y (n, L), B (n, L, 6) and D (n, L, H) there.
+    """
+    T = _posed(shots, head)
+    y, B, by_pixels, h = _whitened(T, shots, head)
+    n, S = shots.ranges.shape
+    D = np.zeros((n, y.shape[1], len(head.phi)))
+    # A reading is (1 + scale) h + bias; divided by 1 + scale, to keep its noise as stated.
+    stretch, own = (1.0 + head.scale) * head.std, np.arange(S)
+    D[:, own, len(INTRINSICS) + own] = 1.0 / stretch
+    D[:, own, len(INTRINSICS) + S + own] = h / stretch
+    D[:, S:, : len(INTRINSICS)] = by_pixels
+    return T, y, B, D
+
+
+def beyond(left: np.ndarray, size: int) -> np.ndarray:
+    """Numbers of a trace that shots do not have, shape (n, size), from what they have beyond their poses, shape (n,)."""
+    return np.asarray(np.arange(size) >= left[:, None])
+
+
+def _missing(observed: np.ndarray, m: int) -> np.ndarray:
+    """Which of m numbers a row does not measure, shape (n, m)."""
+    made = np.zeros((len(observed), m), dtype=bool)
+    made[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
+    return made
+
+
+def _posed(shots: Shots, head: Head) -> np.ndarray:
+    """Upper rows of T_camera_square where image points and ranges fit best, shape (n, 3, 4): Gauss-Newton on SE(3)."""
+    from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
+
+    T = shots.start.copy()
+    for _ in range(STEPS):
+        y, B, _, _ = _whitened(T, shots, head)
+        back = B.transpose(0, 2, 1)
+        step = np.einsum("nij,nj->ni", _inverse(back @ B), np.einsum("nij,nj->ni", back, y))
+        far = np.maximum(np.linalg.norm(step[:, :3], axis=1) / T[:, 2, 3], np.linalg.norm(step[:, 3:], axis=1))
+        step /= np.maximum(1.0, SHORTEN * far)[:, None]
+        T[:, :, 3] += np.einsum("nij,nj->ni", T[:, :, :3], step[:, :3])
+        T[:, :, :3] = T[:, :, :3] @ Rotation.from_rotvec(step[:, 3:]).as_matrix()
+        if np.abs(step).max(initial=0.0) < STILL:
+            break
+    return T
+
+
+def _whitened(T: np.ndarray, shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """What is measured less what is predicted, over the noise: ranges (1 + scale) h + bias undone, then image points.
+
+    Returns:
+        y (n, L) with L = S + 2 M; its prediction's derivatives by the square's twist (n, L, 6) and, of the image points, by
+        the intrinsics (n, 2 M, 9), likewise over the noise; predicted ranges (n, S), [m].
+    """
+    n = len(T)
+    h, h_by_twist = predict_ranges(T, head.positions, head.measures)
+    of_ranges = (shots.ranges - head.bias) / (1.0 + head.scale) - h
+    pixels, by_twist, by_lens = predict_pixels(T, shots.points, head.intrinsics)
+    of_pixels = np.einsum("nmij,nmj->nmi", shots.whiten, shots.pixels - pixels)
+    y = np.concatenate([of_ranges / head.std, of_pixels.reshape(n, -1)], axis=1)
+    B = np.concatenate([h_by_twist / head.std, (shots.whiten @ by_twist).reshape(n, -1, POSE)], axis=1)
+    return y, B, (shots.whiten @ by_lens).reshape(n, -1, len(INTRINSICS)), h
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Inverses of informations of poses, metres and radians brought to one scale, shape (n, 6, 6)."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), TINY))
+    outer = scale[:, :, None] * scale[:, None, :]
+    return np.asarray(outer * np.linalg.inv(information * outer + TINY * np.eye(POSE)))
+
+
+TINY = 1e-14
+"""What is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
+
+
+def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
+    """Measured minus predicted pose of the camera [m, rad], and the trace."""
+    found = _of_rows(observed, states)
+    return np.hstack([residuals(R, p, found.position, found.rotation), found.trace])
+
+
+def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The same with its derivatives; the head's numbers move what is measured, a prediction the other way."""
+    found = _of_rows(observed, states)
+    r = residuals(R, p, found.position, found.rotation)
+    n, count = found.trace.shape
+    by_twist = np.zeros((n, POSE + count, POSE))
+    by_twist[:, :3, :3] = np.eye(3)
+    by_twist[:, 3:POSE, 3:] = turned_back(r[:, 3:])
+    by_head = np.concatenate([-found.sensitivity, found.slope], axis=1)
+    by_head[:, 3:POSE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE]
+    return Seen(np.hstack([r, found.trace]), by_twist, (by_head,))
+
+
+def _noise(observed: np.ndarray, states: States) -> np.ndarray:
+    """Covariance of the pose, [m, rad]; it shares nothing with the trace."""
+    return _of_rows(observed, states).covariance
+
+
+def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarray]:
+    """Poses of the camera, the head being as declared."""
+    if not len(observed):
+        return np.zeros((0, 3)), np.zeros((0, 3, 3))
+    found = _of_rows(observed, states)
+    return found.position, found.rotation
+
+
+def _of_rows(observed: np.ndarray, states: States) -> Reduced:
+    """Rows of one head, reduced."""
+    head = Head.of_state(states[0][0])
+    return reduced(unpacked(observed, len(head.positions)), head)
+
+
+def channels(head: Head) -> tuple[Channel, ...]:
+    """What a row of a head measures: the camera's pose, and beyond it its trace."""
+    axes = tuple(f"z{k + 1}" for k in range(len(INTRINSICS) + len(head.positions)))
+    return (
+        TARGET_POSITION,
+        TARGET_ROTATION,
+        Channel("within_shot", "1", axes, "sigma", 1.0, "misfit within shots", inner=True),
+    )
+
+
+CAMERA_SONAR = Kind(
+    name="camera_sonar",
+    words="image points of squares, and ranges to them",
+    channels=(TARGET_POSITION, TARGET_ROTATION),
+    read=(),
+    roles=(Role(HEAD, (), (), 0, _moved, None, (), many=False),),
+    residual=_residual,
+    derivatives=_seen,
+    located=None,
+    turns=True,
+    placed=_placed,
+    missing=_missing,
+    noise=_noise,
+)
+"""A head's numbers and channels depend on its sonars: see :attr:`Head.role` and :func:`channels`."""

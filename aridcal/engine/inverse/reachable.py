@@ -1,0 +1,134 @@
+"""Readings that bring the target where a measurement needs it, from postures drawn at random inside the joints' limits."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from aridcal.engine.robot.chain import Robot
+from aridcal.system.errors import CampaignError
+
+Pose = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Readings of some rows, shape (n, columns), and their numbers to rotations (n, 3, 3) and positions (n, 3) of their targets."""
+
+Miss = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+"""Rotations and positions of the targets of some rows, and their numbers, to how far each is from where it must be, (n, k)."""
+
+INSIDE = 0.02
+"""Share of each joint's range that is left free at either end: effects move the readings a little further, controllers refuse
+what lies beyond a limit and slow down before it, and cables are strained there."""
+
+STEPS, ROUNDS = 30, 60
+"""Newton steps towards a place, and how often rows that have not come there start anew from other readings."""
+
+TRIED_AT_ONCE = 8
+"""Random postures of which the nearest to its place is a row's start."""
+
+TURN = 0.4
+"""The most that a joint moves in one step, [rad] or [m], as far as the linear model holds."""
+
+DAMPING = 1e-9
+"""[m²/rad²]: keeps the step of a stretched arm finite."""
+
+SMALL = 1e-5
+"""[rad] or [m]: for differences."""
+
+THERE = 1e-9
+"""[m]: nearer than that the arm has come."""
+
+
+def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest readings, shape (columns,) each, [rad] or [m]; +-pi where there is no limit."""
+    low, high = robot.limits.T
+    return np.where(np.isfinite(low), low, -math.pi), np.where(np.isfinite(high), high, math.pi)
+
+
+def off_the_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+    """The same a share :data:`INSIDE` of each range nearer to its middle."""
+    low, high = limits_of(robot)
+    margin = INSIDE * (high - low)
+    return low + margin, high - margin
+
+
+def draw_readings(
+    robot: Robot, n: int, rng: np.random.Generator, ends: Callable[[Robot], tuple[np.ndarray, np.ndarray]] = limits_of
+) -> np.ndarray:
+    """Draw readings, uniform between ends of their ranges, shape (n, columns), [rad] or [m]."""
+    low, high = ends(robot)
+    return np.asarray(rng.uniform(low, high, (n, len(low))))
+
+
+def brought(
+    robot: Robot, pose: Pose, miss: Miss, n: int, rng: np.random.Generator, place: str, advice: str
+) -> np.ndarray:
+    """Readings with which every row's target is where it must be, each from a posture drawn at random, shape (n, columns).
+
+    An arm has more joints than a touch has numbers: what is left free stays as it was drawn, so that postures differ.
+
+    Args:
+        robot: The chain.
+        pose: Of the targets.
+        miss: How far they are from where they must be.
+        n: Rows.
+        rng: Draws the postures.
+        place: What to name if the arm does not come there.
+        advice: What to do then.
+
+    Raises:
+        CampaignError: some rows cannot be reached.
+    """
+    low, high = off_the_limits(robot)
+    found = np.empty((n, len(low)))
+    left = np.arange(n)
+    for _ in range(ROUNDS):
+        readings = _nearest(robot, pose, miss, left, rng)
+        for _ in range(STEPS):
+            step, off = _step(pose, miss, readings, left)
+            there = (off < THERE) & ((readings >= low) & (readings <= high)).all(axis=1)
+            found[left[there]] = readings[there]
+            left, readings = left[~there], np.clip((readings + step)[~there], low, high)
+            if not len(left):
+                return found
+    raise CampaignError(
+        f"{place}: {len(left)} of {n} rows cannot be measured: the arm does not reach the places that they refer to; {advice}"
+    )
+
+
+def _nearest(robot: Robot, pose: Pose, miss: Miss, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """For each row that one of some random postures which misses least, shape (rows, columns)."""
+    tried = [draw_readings(robot, len(rows), rng) for _ in range(TRIED_AT_ONCE)]
+    off = [np.linalg.norm(miss(*pose(readings, rows), rows), axis=1) for readings in tried]
+    return np.asarray(np.array(tried)[np.argmin(off, axis=0), np.arange(len(rows))])
+
+
+def settled(pose: Pose, miss: Miss, readings: np.ndarray, steps: int) -> np.ndarray:
+    """Readings near others with which all rows' targets are where they must be, to rounding.
+
+    Args:
+        pose: Of the targets.
+        miss: How far they are from where they must be.
+        readings: Shape (n, columns).
+        steps: Of Newton's method.
+    """
+    rows = np.arange(len(readings))
+    for _ in range(steps):
+        readings = readings + _step(pose, miss, readings, rows)[0]
+    return readings
+
+
+def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Newton's shortest step of some rows, shape (n, columns), and how far each still is, shape (n,)."""
+
+    def off(readings: np.ndarray) -> np.ndarray:
+        return miss(*pose(readings, rows), rows)
+
+    e = off(readings)
+    J = np.empty((*e.shape, readings.shape[1]))
+    for k, shift in enumerate(SMALL * np.eye(readings.shape[1])):
+        J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * SMALL)
+    H = J @ J.transpose(0, 2, 1) + DAMPING * np.eye(e.shape[1])
+    step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
+    longest = np.abs(step).max(axis=1, keepdims=True)
+    return step * np.minimum(1.0, TURN / np.maximum(longest, 1e-300)), np.linalg.norm(e, axis=1)

@@ -1,0 +1,147 @@
+"""How much memory a calibration needs, told before it starts: what does not fit is refused, not tried."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from aridcal.system.errors import CampaignError
+
+NUMBER = 8
+"""Bytes of a float64."""
+
+ITSELF = 300_000_000
+"""Bytes of the program and its libraries."""
+
+SQUARES = 18
+"""Square matrices of all coefficients that are alive at the worst moment: sums of two channels at two places, their balanced
+copies, factors, inverses and singular vectors."""
+
+COLUMNS = 10
+"""Copies of the constants' columns for the rows that are searched: the linear model's and some states'."""
+
+ROW = 1_500
+"""Bytes of a row in all that is kept of it: readings, residuals of every stage, its cells in text. A million rows of poses of
+six joints took 750 each, where nothing was sought; an effect's columns and conditions come to that."""
+
+PAIR = 150_000
+"""Bytes of what is tried for each pair of joints: couplings, functions of one load or of two covariates, and their columns."""
+
+ROOTS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
+"""Where Linux says what a container may use, in version 2 and in version 1."""
+
+LIMITS = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes"))
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a calibration is.
+
+    Attributes:
+        coefficients: Frames' and constants'.
+        stations: With a frame each; 0 where there is one for all.
+        rows: Measured.
+        searched: Of them, where effects are sought; 0 where none are.
+        numbers: Measured in each row.
+        joints: Of the chain.
+    """
+
+    coefficients: int
+    stations: int
+    rows: int
+    searched: int
+    numbers: int
+    joints: int
+
+    @property
+    def needs(self) -> dict[str, int]:
+        """Bytes that it takes, to a third, by what asks for them."""
+        K = self.coefficients
+        return {
+            "coefficients": NUMBER * (SQUARES * K**2 + COLUMNS * self.searched * self.numbers * K),
+            "rows": ROW * self.rows,
+            "search": PAIR * self.joints**2 if self.searched else 0,
+        }
+
+
+def check_memory(size: Size, place: str, available: int | None) -> None:
+    """Refuse a calibration for which there is not enough memory.
+
+    Args:
+        size: Of the calibration.
+        place: The campaign, for the message.
+        available: Bytes, see :func:`available_memory`; None: not known, and nothing is refused.
+
+    Raises:
+        CampaignError: with what it would need, what there is, and what to leave out.
+    """
+    needs = size.needs
+    whole = ITSELF + sum(needs.values())
+    if available is None or whole <= available:
+        return
+    remedies = {
+        "coefficients": f"{size.coefficients:,} coefficients of frames and constants"
+        + (
+            f" at {size.stations:,} stations: split the table by stations"
+            if size.stations
+            else ": take a smaller `parameters: {set: …}`"
+        ),
+        "rows": f"{size.rows:,} rows: give fewer",
+        "search": f"effects that {size.joints} joints may have: fewer candidates with `diagnosis: {{candidates: "
+        "[joint_compliance]}`, or none with `diagnosis: {enabled: false}`",
+    }
+    most = max(needs, key=lambda what: needs[what])
+    raise CampaignError(
+        f"{place}: would need about {_gigabytes(whole)} of memory, and {_gigabytes(available)} are available. Most of it is for "
+        f"{remedies[most]}"
+    )
+
+
+def _gigabytes(size: int) -> str:
+    return f"{size / 1e9:,.1f} GB"
+
+
+def available_memory() -> int | None:
+    """Bytes that the system has left for this process, and its container; None where that is not told."""
+    found = []
+    for line in _lines(Path("/proc/meminfo")):
+        if line.startswith("MemAvailable:"):
+            found.append(1024 * int(line.split()[1]))
+    for folder in _groups():
+        for limit, usage in LIMITS:
+            most, used = _number(folder / limit), _number(folder / usage)
+            if most is not None and used is not None:
+                found.append(max(most - used + _cached(folder), 0))
+    return min(found, default=None)
+
+
+def _cached(folder: Path) -> int:
+    """Bytes of files that the system keeps in a group's memory, and gives up when asked."""
+    names = ("inactive_file", "total_inactive_file")
+    found = (line.split() for line in _lines(folder / "memory.stat"))
+    return max((int(size) for name, size in found if name in names), default=0)
+
+
+def _groups() -> list[Path]:
+    """Folders of the control groups that this process is in, and of those around them."""
+    found = []
+    for line in _lines(Path("/proc/self/cgroup")):
+        inner = Path(line.rsplit(":", 1)[-1].lstrip("/"))
+        for root in ROOTS:
+            found += [root / part for part in (inner, *inner.parents)]
+    return list(dict.fromkeys(found))
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text().splitlines()
+    except OSError:
+        return []
+
+
+def _number(path: Path) -> int | None:
+    text = "".join(_lines(path)[:1])
+    return (
+        int(text) if text.isdecimal() and int(text) < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") else None
+    )

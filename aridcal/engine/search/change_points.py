@@ -1,0 +1,364 @@
+r"""When something moved once: the best row for a step at each place, and whether it is a step or a slow walk.
+
+A step between two rows is a column that is the motion's own up to there and nothing after. For every row k at once, with
+:math:`G_n` the motion's columns in row n and :math:`A_n` the model's, both in sigmas, the sums
+
+.. math:: (C^T C)_k = \sum_{n < k} G_n^T G_n, \qquad (C^T A)_k = \sum_{n < k} G_n^T A_n, \qquad
+          s_k = \sum_{n < k} G_n^T r_n
+
+are cumulative, so that the score statistic of all of them, :math:`s_k^T M_k^+ s_k` with
+:math:`M_k = (C^T C)_k - (C^T A)_k H^{-1} (C^T A)_k^T`, costs as much as a few (Andrews 1993, doi:10.2307/2951764, for the
+largest of such statistics; Worsley 1986, doi:10.1093/biomet/73.1.91, for its correction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import gammaincc
+
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.instruments.channels import by_row, spread
+from aridcal.engine.search.evidence import explained, solve
+from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.state import State, with_candidate
+
+SIDE = 6
+"""Rows at the least on either side of a step: fewer are outliers, not a new state."""
+
+COARSE = 200
+"""Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
+
+NODES = 33
+"""Of those, where what the model takes up of a step is worked out; between them it hardly differs from a line's, and what it
+differs by only decides which steps are looked at closely. Each costs as much as the square of all that is in the model."""
+
+CLOSELY = 12
+"""Steps that are looked at closely, those that seem best: between nodes what the model takes up is out by a tenth at
+the most, near the ends."""
+
+LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
+"""Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
+
+WANDERS = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
+"""Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
+
+
+def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where steps of a covariate can be: midway between two rows, with enough rows on either side.
+
+    Args:
+        values: Of the rows in use, shape (n,).
+
+    Returns:
+        How many rows come before each, shape (k,), and the values themselves, shape (k,).
+    """
+    ordered = np.sort(values)
+    before = np.arange(SIDE, len(ordered) - SIDE + 1)
+    before = before[ordered[before - 1] < ordered[before]] if len(before) else before
+    return before, 0.5 * (ordered[before - 1] + ordered[before])
+
+
+def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Which steps, by the rows before each, some group of things has enough rows on both sides of, shape (k,) bool.
+
+    A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
+    ``values`` of the covariate and ``group`` are of the rows in use, shape (n,).
+    """
+    ordered = group[np.argsort(values, kind="stable")]
+    return np.asarray(_on_both_sides(ordered[:, None] == np.unique(ordered), before).any(axis=1))
+
+
+def _between_its_rows(
+    model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
+) -> np.ndarray:
+    """Which steps, by the rows before each, have enough rows on both sides that see what moves, shape (k,) bool.
+
+    Of those between two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
+    """
+    sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
+    return np.asarray(sees[before] & _on_both_sides(sees, before))
+
+
+def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Whether enough of the members among ordered rows, (n, ...) bool, are on either side of steps, shape (k, ...)."""
+    passed = np.cumsum(members, axis=0)
+    there = passed[before - 1]
+    return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
+
+
+def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
+    """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
+    return state.once(("steps", *templates), lambda: _best_steps(model, state, templates))
+
+
+def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
+    placed: dict[Effect, Effect] = {}
+    for of in dict.fromkeys(e.covariates[0] for e in templates):
+        values = model.table[of][state.used]
+        before, points = step_points(values)
+        if model.off is not None:
+            inside = _within_a_place(values, model.off.group[state.used], before)
+            before, points = before[inside], points[inside]
+        possible = {}
+        for effect in (e for e in templates if e.covariates[0] == of):
+            slots = model.slots_of(effect)
+            mine = _between_its_rows(model, state, values, slots, before)
+            if mine.any():
+                possible[effect] = slots, mine
+        if not possible:
+            continue
+        groups = [(slots, before[mine]) for slots, mine in possible.values()]
+        best = _Scan.of(state, of, groups).best(groups) if model.off is None else _tried(model, state, values, groups)
+        for (effect, (_, mine)), place in zip(possible.items(), best, strict=True):
+            placed[effect] = effect.placed(float(points[mine][place]))
+    return [placed[effect] for effect in templates if effect in placed]
+
+
+# Slots that move together, and the rows before each of the steps that they may have, ascending.
+Group = tuple[Sequence[int], np.ndarray]
+
+
+def _tried(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+    """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
+
+    ``values`` of the covariate are of the rows in use, shape (n,).
+    """
+    A, r = state.whitened(state.design), state.whitened(state.flat(state.residual))
+    order = np.argsort(np.argsort(values, kind="stable"))
+
+    def squares(slots: Sequence[int], before: np.ndarray) -> np.ndarray:
+        sums = []
+        for count in before.tolist():
+            after = np.zeros(len(model.r))
+            after[state.used] = order >= count
+            C = state.whitened(state.flat(model.seen(model.G[:, :, list(slots)] * after[:, None, None])))
+            CA, Cr = C.T @ A, C.T @ r
+            M = C.T @ C - CA @ state.solution.inverse @ CA.T
+            sums.append(explained(M[None], Cr[None], np.sum(C**2, axis=0)[None])[0])
+        return np.concatenate(sums)
+
+    return [_best(before, partial(squares, slots)) for slots, before in groups]
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """Steps scored from sums over the rows before them, rows in the order of a covariate.
+
+    Attributes:
+        state: The model without a step.
+        slots: Position of each slot in the columns.
+        G: Columns of the slots over the variance, zero in rows that are not in use, shape (N, m, S).
+        squares: (C'C) up to each row in use, shape (n + 1, S, S).
+        pulls: s up to each, shape (n + 1, S).
+        members: Columns of what is in the design, shape (N, m, d) each.
+        row: Place of each row in use, shape (n,).
+    """
+
+    state: State
+    slots: dict[int, int]
+    G: np.ndarray
+    squares: np.ndarray
+    pulls: np.ndarray
+    members: tuple[np.ndarray, ...]
+    row: np.ndarray
+
+    @classmethod
+    def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
+        """The sums for some groups of slots, rows in the order of a covariate."""
+        model = state.model
+        own = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
+        order = np.argsort(model.table[of], kind="stable")
+        used = state.used[order]
+        row, sigma = np.flatnonzero(used), state.sigma[:, None]
+        g = model.G[:, :, own][order] * (used[:, None] / state.sigma)[:, :, None]
+        members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
+        turned, right = g[row].transpose(0, 2, 1), state.residual[order[row], :, None] / sigma
+        sums = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
+        squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
+        return cls(state, {slot: k for k, slot in enumerate(own)}, g / sigma, squares, pulls, members, row)
+
+    def best(self, groups: Sequence[Group]) -> list[int]:
+        """Index of the step of each group that explains most."""
+        every = np.unique(np.concatenate([_evenly(before, COARSE) for _, before in groups]))
+        nodes = self._nodes(every)
+
+        def best_of(slots: Sequence[int], before: np.ndarray) -> int:
+            own = [self.slots[slot] for slot in slots]
+
+            def promising(rough: np.ndarray) -> np.ndarray:
+                seems = self._explained(own, rough, nodes.between(rough, own))
+                return np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
+
+            def exactly(rows: np.ndarray) -> np.ndarray:
+                return self._explained(own, rows, self._taken(self._shared(own, rows, nodes)))
+
+            return _best(before, exactly, promising)
+
+        return [best_of(*group) for group in groups]
+
+    def _nodes(self, every: np.ndarray) -> _Nodes:
+        """At the most :data:`NODES` of some steps, evenly, from the first to the last."""
+        before = _evenly(every, NODES)
+        shared = self._shared(range(len(self.slots)), before)
+        return _Nodes(before, shared, self._taken(shared))
+
+    def _explained(self, own: Sequence[int], before: np.ndarray, taken: np.ndarray) -> np.ndarray:
+        """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
+        squares = self.squares[before][:, own][:, :, own]
+        return explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))[0]
+
+    def _taken(self, shared: np.ndarray) -> np.ndarray:
+        """What the model takes up of products of columns, shape (k, d, d), from those with the members' columns, (k, d, W)."""
+        ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
+        shared = self.state.in_modes(np.split(shared, ends, axis=2))
+        inverse = self.state.solution.inverse
+        return np.asarray(
+            (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape) @ np.swapaxes(shared, 1, 2)
+        )
+
+    def _shared(self, own: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
+        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W), summed from the nodes on."""
+        G = self.G[:, :, own]
+        done, total = 0, np.zeros((len(own), sum(member.shape[2] for member in self.members)))
+        sums = np.empty((len(before), *total.shape))
+        for k, (count, stop) in enumerate(zip(before.tolist(), self.row[before].tolist(), strict=True)):
+            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > done:
+                done, total = int(self.row[nodes.before[node]]), nodes.shared[node][own]
+            if stop > done:
+                part = G[done:stop].reshape(-1, len(own)).T
+                more = [part @ member[done:stop].reshape(part.shape[1], -1) for member in self.members]
+                done, total = stop, total + np.hstack(more)
+            sums[k] = total
+        return sums
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Steps for which it is known what the model takes up of them.
+
+    Attributes:
+        before: Rows before each, ascending, shape (k,).
+        shared: C'A, shape (k, S, W).
+        taken: What the model takes up of the products of their columns, shape (k, S, S).
+    """
+
+    before: np.ndarray
+    shared: np.ndarray
+    taken: np.ndarray
+
+    def last(self, count: int) -> int:
+        """Number of the last of them with no more rows before it; -1 if there is none."""
+        return int(np.searchsorted(self.before, count, side="right")) - 1
+
+    def between(self, before: np.ndarray, own: Sequence[int]) -> np.ndarray:
+        """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
+        taken = self.taken[:, own][:, :, own]
+        if len(self.before) == 1:
+            return np.repeat(taken, len(before), axis=0)
+        high = np.clip(np.searchsorted(self.before, before), 1, len(self.before) - 1)
+        low = high - 1
+        share = ((before - self.before[low]) / (self.before[high] - self.before[low]))[:, None, None]
+        return np.asarray((1.0 - share) * taken[low] + share * taken[high])
+
+
+def _evenly(before: np.ndarray, most: int) -> np.ndarray:
+    """At the most so many of some steps, evenly, from the first to the last."""
+    return before[np.unique(np.linspace(0, len(before) - 1, min(most, len(before))).round().astype(int))]
+
+
+def _best(
+    before: np.ndarray,
+    squares: Callable[[np.ndarray], np.ndarray],
+    promising: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> int:
+    """Index of the step that explains most: of :data:`COARSE` of them first, then of all between the neighbours of the best.
+
+    Args:
+        before: Rows before each step, ascending, shape (k,).
+        squares: Squares that some of these explain.
+        promising: Which of the first, ascending, are looked at; all otherwise.
+    """
+    rough = _evenly(before, COARSE)
+    some = np.arange(len(rough)) if promising is None else promising(rough)
+    top = int(some[np.argmax(squares(rough[some]))])
+    ends = rough[max(top - 1, 0)], rough[min(top + 1, len(rough) - 1)]
+    low, high = np.searchsorted(before, ends).tolist()
+    return int(low + np.argmax(squares(before[low : high + 1])))
+
+
+def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
+    r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
+
+    What each row asks for along the step's own motion is a series y, with the step in the model. It is explained twice,
+    with and without the step, as a constant and noise of two sorts: white, and an autoregression over the rows
+
+    .. math:: x_{t+1} = e^{-1/L} x_t + \eta_t, \qquad L = \infty \text{ for a random walk}
+
+    of the variance and length L that suit each best (Harvey 1989, sections 3.4 and 4.3: the likelihood from a Kalman
+    filter). Twice the gain in log-likelihood is compared with chi-square with as many degrees as the step has motions, and
+    corrected for all rows at which the step might have been. A walk has many small steps and explains one that stands
+    alone badly; whatever changes slowly it explains well.
+
+    Args:
+        model: The linearised model.
+        state: The model without the step.
+        candidate: The step.
+    """
+    effect = candidate.effect
+    values = model.table[effect.covariates[0]][state.used]
+    order = np.argsort(values, kind="stable")
+    total, precision = with_candidate(state, candidate)
+    solution = solve(total, precision, state.solution.sigma)
+    d = len(effect.coefficients)
+    sigma = spread(solution.sigma, model.channels)
+    design = by_row(state.design, state.channels, state.present) / sigma[:, None]
+    right = by_row(state.right, state.channels, state.present) / sigma
+    motion = model.G[state.used][:, :, model.slots_of(effect)] / sigma[:, None] @ solution.beta[-d:]
+    weight = np.sum(motion**2, axis=1)
+    asked = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
+    seen = weight > 0.0
+    order = order[seen[order]]
+    step = np.where(values < effect.coefficients[0].basis.numbers[0], -1.0, 0.0)
+    points = len(step_points(values)[0])
+    series = np.stack([asked / np.where(seen, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
+    without, with_step = _likelihoods(series, 1.0 / weight[order])
+    twice = 2.0 * max(with_step - without, 0.0)
+    return float(min(1.0, points * gammaincc(0.5 * d, 0.5 * twice)))
+
+
+def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float]:
+    """Best log-likelihoods of a series explained by a constant, and by a constant and a step.
+
+    The columns of ``series``, shape (n, 3), are what is explained, the constant and the step; ``variance`` is the white noise
+    of each row up to a common factor, shape (n,).
+    """
+    n = len(series)
+    white = float(np.median(variance))
+    length, wander = (grid.ravel() for grid in np.meshgrid(LENGTHS, WANDERS))
+    fade = np.exp(-1.0 / length)
+    endless = np.isinf(length)
+    own = white * wander
+    # A walk of so much a row; an autoregression that has so much variance in the long run.
+    added = np.where(endless, own, own * (1.0 - fade**2))
+    P = np.where(endless, 0.0, own)
+    x = np.zeros((len(fade), 3))
+    products = np.zeros((len(fade), 3, 3))
+    logs = np.zeros(len(fade))
+    for row, v in zip(series, variance, strict=True):
+        F = P + v
+        innovation = row - x
+        products += innovation[:, :, None] * innovation[:, None, :] / F[:, None, None]
+        logs += np.log(F)
+        gain = P / F
+        x = fade[:, None] * (x + gain[:, None] * innovation)
+        P = fade**2 * P * (1.0 - gain) + added
+    best = []
+    for k in (1, 2):
+        inner, cross = products[:, 1 : k + 1, 1 : k + 1], products[:, 1 : k + 1, 0]
+        left = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
+        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(left, np.finfo(float).tiny)) + logs))))
+    return best[0], best[1]

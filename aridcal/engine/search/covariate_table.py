@@ -1,0 +1,54 @@
+"""What effects may depend on: all that was measured or follows from it, of rows as they were read or where they agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aridcal.engine.corrections.catalogue import Barred, barred_joints, usable_columns
+from aridcal.engine.corrections.effect import ROW_ORDER
+from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
+from aridcal.engine.corrections.loads import covariate_table
+from aridcal.engine.model.model import Model
+from aridcal.engine.model.placements import references
+from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.rows.dataset import Dataset
+
+
+def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
+    """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
+    derived = {name: rows.covariates[name] for name in rows.origin.derived}
+    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
+    frames = rows_of_data(model, rows)
+    measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
+    for mass in model.around.masses:
+        payload = rows.covariates.get(mass)
+        if payload is not None and not np.isnan(payload).any():
+            measured[mass] = payload  # it counts in the loads even where it is always the same
+    table = covariate_table(
+        model.robot, rows.readings, measured, model.around, frames.world, {".gravity_", ".payload_"}
+    )
+    gravity = np.atleast_2d(model.around.gravity)[0]
+    table |= model.sight_columns(rows.readings, gravity, frames.tip, frames.route)
+    # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
+    table |= {name: derived[name] for name in usable_columns(derived)[0]}
+    labels = [label_column(label) for label in labels_in(rows.labels.station)]
+    if len(labels) > MOST_LABELS:
+        barred.append(
+            Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
+        )
+        labels = []
+    table |= label_columns(labels, rows.labels.station)
+    observed = Observed(
+        robot=model.robot,
+        table=table,
+        measured=tuple(usable),
+        orientations=rows.sees_turns,
+        held=model.instruments.held,
+        referred={
+            (role, name): len(np.unique(rows.repeats.configuration[own])) for role, name, own in references(rows)
+        },
+        labels=tuple(labels),
+        masses=model.around.masses,
+    )
+    return observed, barred + barred_joints(observed)

@@ -1,0 +1,411 @@
+r"""How much columns explain beyond what chance would: the evidence for a candidate against a linearised model.
+
+For d plain columns, with the noise profiled out, twice the gain in log-likelihood is
+
+.. math:: x = -n \log(1 - e / l)
+
+with e the sum of squares that they explain, l what is left of the residual, both in sigmas, and n the numbers measured.
+The evidence charges each column half of :math:`1 + \log x/d`: a normal prior as wide as the data ask for (an
+empirical-Bayes g-prior; George and Foster 2000, doi:10.1093/biomet/87.4.731). A smooth function is a Gaussian process
+sampled at knots: its evidence is the marginal likelihood, maximised over amplitude and correlation length (Rasmussen and
+Williams 2006, section 5.4), less a price for those two. See docs/how-the-search-works.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dsterf, dsytrd
+from scipy.special import gammaincc
+
+from aridcal.engine.corrections.smooth import Kernel, Shape, kernels_that_matter, samples_root
+from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse
+from aridcal.engine.fit.normal_equations import solve as solve_equations
+
+DEPENDENT = 1e-6
+"""Share of a column's square that must be left when the model's own columns are taken off: below it is rounding."""
+
+SMOOTH_PRICE = 2.0
+"""[nat] for the two numbers that shape a smooth function: one each, as for a column."""
+
+NOISE_ROUNDS = 6
+"""Times that noise and coefficients are found in turn; three are usual."""
+
+NOISE_SETTLED = 1e-2
+"""Change of the logarithm of the noise that ends this: a hundredth of a sigma moves no decision."""
+
+NOISE_KNOWN = 2e-3
+"""The same where coefficients are solved for: of 10,000 numbers the likelihood is then known to 0.04 nat."""
+
+LEAST_FREEDOM = 0.05
+"""Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
+
+TAUS = np.logspace(-1.5, 9, 43)
+"""Prior variances that are tried, in units of the best seen mode, at a first look of all: four a decade, from nothing to all."""
+
+WHOLE = 1.0 - 1e-12
+"""A share of the residual that is explained is at most this: beyond it is rounding."""
+
+HIDDEN = 1e-3
+"""Prior variance of a mode that is rounding, in units of its noise, from which it is left out by name: a mode below it adds no
+more than such a share of a nat."""
+
+FACTORS = 24
+"""Factors from 1e-9 to 33 that are multiplied before a logarithm is taken: their product is far from what overflows."""
+
+TOGETHER = 400
+"""Candidates times kernels whose evidence is found at once: their numbers stay in the cache."""
+
+ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
+"""Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
+
+KERNELS = (*ROUGH, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
+"""All shapes: those, and functions without any kink."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Coefficients of a linearised model and the noise that goes with them.
+
+    Attributes:
+        beta: Shape (K,).
+        sigma: Noise of each channel per axis, shape (C,).
+        likelihood: Logarithm, up to a constant.
+        inverse: (A'WA + prior)^-1, shape (K, K).
+        spent: Degrees of freedom that the coefficients spend of each channel, shape (C,).
+    """
+
+    beta: np.ndarray
+    sigma: np.ndarray
+    likelihood: float
+    inverse: np.ndarray
+    spent: np.ndarray
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one candidate would add.
+
+    Attributes:
+        gain: Logarithm of the evidence in its favour: what it explains less what its freedom costs, [nat].
+        p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
+        freedom: Columns that say something new.
+        tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
+        kernel: For smooth functions: what they are like.
+        sigma: The noise that is left with it in the model, shape (C,); unknown at first.
+    """
+
+    gain: float
+    p_value: float
+    freedom: int
+    tau: float = 0.0
+    kernel: Kernel = ROUGH[0]
+    sigma: np.ndarray | None = None
+
+
+class Amplitudes(NamedTuple):
+    """The likeliest amplitude of each of n candidates.
+
+    Attributes:
+        variance: Of the prior, tau^2, shape (n,).
+        twice: Logarithm of the likelihood ratio to nothing, times two, shape (n,).
+        freedom: Degrees of freedom that the samples spend then, shape (n,).
+        seen: False where the data say nothing of the samples, shape (n,).
+    """
+
+    variance: np.ndarray
+    twice: np.ndarray
+    freedom: np.ndarray
+    seen: np.ndarray
+
+
+NOTHING = Score(0.0, 1.0, 0)
+"""Of columns that say nothing new."""
+
+
+def coefficients(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Least squares with priors for a given noise, shape (K,)."""
+    return solve_equations(equations.information(sigma) + precision, equations.pull(sigma), ridge=RIDGE)
+
+
+def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) -> Solution:
+    """Least squares with priors, the noise estimated with it.
+
+    Args:
+        equations: Of K coefficients.
+        precision: Of their priors, which are centred at zero, shape (K, K).
+        sigma: Noise to begin with, shape (C,).
+    """
+    for _ in range(NOISE_ROUNDS):
+        covariance = inverse(equations.information(sigma) + precision)
+        beta = covariance @ equations.pull(sigma)
+        spent = equations.spent(covariance, sigma)
+        squares = equations.squares_left(beta)
+        better = noise_left(equations, squares, spent)
+        if np.all(np.abs(np.log(better / sigma)) < NOISE_KNOWN):
+            break
+        sigma = better
+    return Solution(beta, sigma, _likelihood(equations, precision, sigma, beta, squares), covariance, spent)
+
+
+def with_noise(
+    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, beta: np.ndarray, spent: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known.
+
+    Args:
+        equations: Of K coefficients.
+        precision: Of their priors, shape (K, K).
+        sigma: Noise to begin with, shape (C,).
+        beta: The coefficients for that noise, shape (K,).
+        spent: Degrees of freedom that they spend of each channel, shape (C,).
+    """
+    for k in range(NOISE_ROUNDS):
+        beta = coefficients(equations, precision, sigma) if k else beta
+        squares = equations.squares_left(beta)
+        before, sigma = sigma, noise_left(equations, squares, spent)
+        if np.all(np.abs(np.log(sigma / before)) < NOISE_SETTLED):
+            break
+    return sigma, _likelihood(equations, precision, sigma, beta, squares)
+
+
+def noise_left(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
+    """Noise of each channel, shape (C,), from the squares that are left and the degrees of freedom that were spent."""
+    freedom = np.maximum(equations.count - spent, LEAST_FREEDOM * equations.count + 1e-9)
+    return np.maximum(np.sqrt(squares / freedom), FLOOR)
+
+
+def _likelihood(
+    equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, beta: np.ndarray, squares: np.ndarray
+) -> float:
+    """Log-likelihood of coefficients and noise, up to a constant."""
+    misfit = float(equations.count @ np.log(sigma**2) + np.sum(squares / sigma**2))
+    return -0.5 * (misfit + float(beta @ precision @ beta))
+
+
+def scores(
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: Shape | None = None
+) -> list[Score]:
+    """Evidence for k candidates of d columns each, one by one.
+
+    Args:
+        M: Their Gram matrices after projection off the model, in units of sigma, shape (k, d, d).
+        s: Their products with the residual, shape (k, d).
+        raw: Their squared lengths before projection, shape (k, d).
+        left: The residual's sum of squares, in units of sigma.
+        count: Numbers measured.
+        shape: For samples of smooth functions: of what; else None.
+    """
+    return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
+
+
+def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: np.ndarray) -> Score:
+    """The shape that suits a smooth function best, for a given noise.
+
+    Args:
+        total: Equations of the model's coefficients and, after them, of the samples of the function.
+        precision: Prior of the model's own coefficients.
+        shape: What those are samples of.
+        sigma: Noise of each channel, shape (C,).
+    """
+    K = len(precision)
+    H, g = total.information(sigma), total.pull(sigma)
+    alone = solve_equations(H[:K, :K] + precision, np.column_stack([H[:K, K:], g[:K]]), ridge=RIDGE)
+    M, s = H[K:, K:] - H[K:, :K] @ alone[:, :-1], g[K:] - H[K:, :K] @ alone[:, -1]
+    return replace(_smooth(M[None], s[None], np.diag(H)[None, K:], shape, KERNELS)[0], sigma=sigma)
+
+
+def price(twice: float, freedom: int) -> float:
+    """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
+    return 0.5 * (twice - charge(twice, freedom))
+
+
+def charge(twice: float, freedom: int) -> float:
+    """What columns that raise twice the log-likelihood by so much are charged for their freedom, times two, [nat]."""
+    return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
+
+
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
+    """Evidence for columns that are no smooth functions; see :func:`scores`."""
+    squares, freedoms = explained(M, s, raw)
+    twice = profiled(squares, left, count)
+    return [
+        Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
+        for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
+    ]
+
+
+def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that columns explain, shape (k,), and how many of these say something new, (k,); see :func:`scores`."""
+    scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
+    values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
+    new = values > DEPENDENT
+    along = np.einsum("kij,ki->kj", vectors, s * scale)
+    squares = np.sum(np.where(new, along**2 / np.where(new, values, 1.0), 0.0), axis=1)
+    return squares, new.sum(axis=1)
+
+
+def _smooth(
+    M: np.ndarray,
+    s: np.ndarray,
+    raw: np.ndarray,
+    shape: Shape,
+    kernels: tuple[Kernel, ...],
+    left: float = np.inf,
+    count: float = 0.0,
+) -> list[Score]:
+    """Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
+
+    Of all kernels and :data:`TAUS`; see :func:`likeliest`.
+    """
+    kernels = kernels_that_matter(shape, kernels)
+    parts = []
+    step = max(1, TOGETHER // len(s))
+    for first in range(0, len(kernels), step):
+        roots = np.stack([samples_root(shape, kernel) for kernel in kernels[first : first + step]])[:, None]
+        A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
+        mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
+        parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
+                               DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
+    variance, twice, freedom, seen = (
+        np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
+    )
+    best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
+    return [
+        Score(
+            0.5 * float(twice[at, k]) - SMOOTH_PRICE,
+            smooth_tail(float(twice[at, k])),
+            max(round(float(freedom[at, k])), 1),
+            float(np.sqrt(variance[at, k])),
+            kernels[at],
+        )
+        if seen[at, k]
+        else NOTHING
+        for k, at in enumerate(best.tolist())
+    ]
+
+
+def likeliest(
+    A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float, roughly: bool = False
+) -> Amplitudes:
+    r"""The likeliest of the amplitudes of :data:`TAUS`.
+
+    .. math:: 2 \log L(\tau) = \tau^2 b^T (I + \tau^2 A)^{-1} b - \log |I + \tau^2 A|
+
+    with the first term, what is explained, profiled as for plain columns where the noise is not known.
+
+    Args:
+        A: Information of the samples, times the root of their prior on both sides, in units of sigma, shape (n, d, d).
+        b: Their pulls likewise, shape (n, d).
+        least: Information of a mode below which its pull is rounding, shape (n,).
+        left: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
+        count: Numbers measured.
+        roughly: Take amplitudes in units of all modes together, which need not be found one by one.
+    """
+    likely = _by_chain(A, b, left, count, roughly)
+    doubted = likely.variance * least > HIDDEN
+    if doubted.any():
+        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], left, count), strict=True):
+            values[doubted] = sure
+    return likely
+
+
+def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
+    """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
+    if left == np.inf:
+        return squares
+    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(left, TINY)) / max(left, TINY)))
+
+
+def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
+    r"""All modes, without eigenvectors, which would take most of the time of a search.
+
+    Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
+    :math:`v = \tau^{-2}`, diagonal :math:`\alpha_j`, :math:`\beta_j` beside it, :math:`\beta_0 = |b|`, from the last row up,
+
+    .. math:: F_d = v + \alpha_d, \quad F_j = v + \alpha_j - \beta_j^2 / F_{j+1}, \quad
+        2 \log L = \beta_0^2 / F_1 - \sum_j \log (F_j / v)
+    """
+    diagonal, square, scale = _chains(A, b, roughly)
+    d = b.shape[1]
+    largest = _largest(scale)
+    diagonal, square = diagonal / largest, square / largest**2
+    faint = 1.0 / TAUS
+    F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
+    product = F.copy()
+    volume = np.full(F.shape, d * np.log(TAUS))
+    taken = np.empty_like(F)
+    for j in range(d - 2, -1, -1):
+        np.divide(square[:, j + 1, None], F, out=taken)
+        np.add(faint, diagonal[:, j, None], out=F)
+        F -= taken
+        np.maximum(F, faint, out=F)
+        product *= F
+        if (d - j) % FACTORS == 0:
+            volume += np.log(product)
+            product[:] = 1.0
+    volume += np.log(product)
+    # In units of the largest mode b has lost its square, explained squares one of them.
+    twice = profiled(square[:, :1] * largest / F, left, count) - volume
+    top = np.argmax(twice, axis=1)
+    v = 1.0 / TAUS[top]
+    F = np.maximum(v + diagonal[:, -1], v)
+    own = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
+    free = own.copy()
+    for j in range(d - 2, -1, -1):
+        ratio = square[:, j + 1] / F
+        F = np.maximum(v + diagonal[:, j] - ratio, v)
+        own = np.minimum((v + ratio * own) / F, 1.0)
+        free += own
+    return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - free, scale > TINY**0.5)
+
+
+def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
+    """In the eigenbasis, without the pulls of modes that are rounding."""
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 0.0)
+    largest = _largest(values[:, -1])
+    squares = np.where(values > least[:, None], np.einsum("kij,ki->kj", vectors, b) ** 2, 0.0)
+    variances = TAUS / largest
+    shrunk = 1.0 + variances[:, :, None] * values[:, None]
+    fitted = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
+    twice = profiled(fitted, left, count) - np.sum(np.log(shrunk), axis=2)
+    top = np.argmax(twice, axis=1)
+    own = np.arange(len(top)), top
+    return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)
+
+
+def _largest(scale: np.ndarray) -> np.ndarray:
+    """What amplitudes are in units of, shape (n, 1); 1 where nothing is seen."""
+    return np.where(scale > TINY**0.5, scale, 1.0)[:, None]
+
+
+def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diagonals of the tridiagonal forms and squares of what is beside them, the pull's first, (n, d) each; the scale, (n,)."""
+    n, d = b.shape
+    bordered = np.zeros((n, d + 1, d + 1))
+    bordered[:, 1:, 1:] = A
+    bordered[:, 0, 1:] = b
+    diagonal, beside, best = np.empty((n, d + 1)), np.empty((n, d)), np.einsum("kii->k", A)
+    for k, matrix in enumerate(bordered):  # transposed it is as LAPACK wants it, without a copy
+        _, diagonal[k], beside[k], _, _ = dsytrd(matrix.T, lower=1, overwrite_a=1)
+        if not roughly and d > 1:
+            best[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0][-1]
+    # No eigenvalue is smaller than every number on the diagonal, but where rounding has it so.
+    return diagonal[:, 1:], beside**2, np.maximum(best, diagonal[:, 1:].max(axis=1))
+
+
+def smooth_tail(twice: float) -> float:
+    """Chance that noise raises twice the log-likelihood of a smooth function by so much, at the most.
+
+    A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2 degrees.
+    """
+    return float(np.exp(-max(0.5 * twice, 0.0)))
+
+
+def tail(twice: float, freedom: int) -> float:
+    """Chance that chi-square with so many degrees of freedom exceeds a value."""
+    return float(gammaincc(0.5 * freedom, 0.5 * max(twice, 0.0)))

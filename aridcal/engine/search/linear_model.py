@@ -1,0 +1,255 @@
+"""A linearised model with everything that could be added to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from aridcal.engine.corrections.basis import Basis, evaluate
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.corrections.smooth import samples_root, smooth_precision
+from aridcal.engine.fit.elimination import Projector
+from aridcal.engine.instruments.channels import Channels, columns
+from aridcal.engine.search.evidence import Score
+from aridcal.engine.search.products import Flat, Layout, Products, Source
+
+PLAUSIBLE = 5e-3
+"""[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """A linearised model and everything that could be added to it: N rows of m numbers, K constants, S slots, B bases.
+
+    A candidate's column is that of its slot times its basis: A and G are differentiated once, and thousands of
+    candidates cost a product each.
+
+    Attributes:
+        channels: What each row measures.
+        A: Columns of the constants, shape (N, m, K), in units of the rows' relative sigmas.
+        gauge: Prior precision of the constants about the geometric stage, shape (K, K).
+        G: Columns of the slots, the motions that effects may have, shape (N, m, S).
+        slots: (where, component) of each.
+        phi: Values of the bases, shape (N, B), each in one piece in memory.
+        bases: The bases.
+        r: Residual of the geometric stage, linearised, shape (N, m).
+        limit: Sigmas beyond which each row is flagged, shape (N,).
+        run: Number of the row's stretch of time, shape (N,).
+        fold: Number of the row's fold for cross-validation, shape (N,).
+        configuration: Number of the row's configuration, shape (N,).
+        thing: Number of what each row measures, shape (N,): of a place that was measured again and again; None where rows
+            measure the target itself, or too few things to leave any out.
+        off: Takes off columns what unknown things take up; None where there are none. It is done with r and A; columns of
+            G are multiplied with their bases first.
+        present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
+        taken: Numbers of each channel that unknown things take up, shape (C,): residual and columns are what those leave.
+        share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
+        own: Names of the joints: covariates that are under the user's control.
+        table: Covariates of the rows, shape (N,) each.
+    """
+
+    channels: Channels
+    A: np.ndarray
+    gauge: np.ndarray
+    G: np.ndarray
+    slots: tuple[tuple[str, str], ...]
+    phi: np.ndarray
+    bases: tuple[Basis, ...]
+    r: np.ndarray
+    limit: np.ndarray
+    run: np.ndarray
+    fold: np.ndarray
+    configuration: np.ndarray
+    thing: np.ndarray | None
+    off: Projector | None
+    present: np.ndarray
+    taken: np.ndarray
+    share: float
+    own: tuple[str, ...]
+    table: Mapping[str, np.ndarray]
+
+    @cached_property
+    def slot_index(self) -> dict[tuple[str, str], int]:
+        """Number of each slot."""
+        return {slot: k for k, slot in enumerate(self.slots)}
+
+    @cached_property
+    def basis_index(self) -> dict[Basis, int]:
+        """Number of each basis."""
+        return {basis: k for k, basis in enumerate(self.bases)}
+
+    @cached_property
+    def products(self) -> Products:
+        """Sums of products of its columns, each made when it is first asked for."""
+        return Products(self.A, self.r, self._layout, self._source)
+
+    @cached_property
+    def _layout(self) -> Layout:
+        return Layout.of(self.fold, self.channels)
+
+    @cached_property
+    def _in_folds(self) -> tuple[np.ndarray, ...]:
+        """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
+        ordered = self.G[self._layout.order].transpose(2, 0, 1)
+        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in columns(self.channels))
+
+    @property
+    def _source(self) -> Source:
+        return Source(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
+
+    def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
+        """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
+        order = self._layout.order
+        return self.phi.T[np.array(bases, dtype=int)[:, None], order if places is None else order[places]]
+
+    def _apart(self, effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
+        """Slots, each once, and bases of an effect; None where unknown things take up a part of their products."""
+        slots, bases = self._index(effect)
+        return None if bases is None or self.off is not None else (tuple(dict.fromkeys(slots)), tuple(bases))
+
+    def _of_slots(self, slots: Sequence[int]) -> Flat:
+        return tuple(np.ascontiguousarray(g[list(slots)].transpose(1, 2, 0)) for g in self._in_folds)
+
+    def flat_columns(self, effects: Sequence[Effect], places: np.ndarray | None = None) -> Flat:
+        """Columns of effects side by side, channel by channel, in the order of the folds, or at some places of it."""
+        if self.off is not None or not all(self.prepared(e) for e in effects):
+            X = self._layout.flat(self.columns(*effects))
+            return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
+        slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
+        values = self._values(bases, places)
+        made = []
+        for g in self._in_folds:
+            x = g[slots] if places is None else g[np.array(slots)[:, None], places]
+            for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
+                x[:, :, k] *= values
+            made.append(x.reshape(len(slots), -1).T)
+        return tuple(made)
+
+    def holed(self, residual: np.ndarray) -> np.ndarray:
+        """Residuals, shape (N, m), NaN in channels that a row does not measure."""
+        if self.present.all():
+            return residual
+        sizes = [channel.size for channel in self.channels]
+        return np.where(np.repeat(self.present, sizes, axis=1), residual, np.nan)
+
+    def prior_of(self, effect: Effect) -> float:
+        """Precision beforehand of an effect's coefficients: where unknown things take up much, huge ones may cancel out."""
+        of_arm = effect.where in (*self.own, "world_base", "tip_target")
+        return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
+
+    def slot_columns(self, where: str, component: str) -> np.ndarray:
+        """Columns of one slot, shape (N, m)."""
+        return self.G[:, :, self.slot_index[where, component]]
+
+    @cached_property
+    def _indices(self) -> dict[Effect, tuple[list[int], list[int] | None]]:
+        """Slots and bases of the effects that were asked about; no bases where some are not among ``bases``."""
+        return {}
+
+    def slots_of(self, effect: Effect) -> list[int]:
+        """Number of the slot of each coefficient."""
+        return self._index(effect)[0]
+
+    def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
+        found = self._indices.get(effect)
+        if found is None:
+            if len(effect.slots) == 1:
+                slots = [self.slot_index[effect.slots[0]]] * len(effect.coefficients)
+            else:
+                slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
+            bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
+            found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
+        return found
+
+    def prepared(self, effect: Effect) -> bool:
+        """True if all its bases are among ``bases``."""
+        return self._index(effect)[1] is not None
+
+    def prepare(self, effects: Sequence[Effect]) -> LinearModel:
+        """The same with the bases of further effects evaluated beforehand."""
+        asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
+        new = [basis for basis in asked if basis not in self.basis_index]
+        phi = np.vstack([self.phi.T, *(evaluate(basis, self.table) for basis in new)]).T
+        made = replace(self, bases=(*self.bases, *new), phi=phi)
+        # Of the same columns: none is multiplied again.
+        vars(made).update(_in_folds=self._in_folds, products=self.products.made_by(made._source))
+        return made
+
+    def moves(self, effect: Effect) -> bool:
+        """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
+        return all(self._moves[self.slot_index[slot]] for slot in effect.slots)
+
+    @cached_property
+    def _moves(self) -> np.ndarray:
+        """Whether each slot moves any row, shape (S,) bool."""
+        return np.asarray(self.G.any(axis=(0, 1)))
+
+    def columns(self, *effects: Effect) -> np.ndarray:
+        """Columns of effects, shape (N, m, d) for the d coefficients of all of them."""
+        slots = [k for e in effects for k in self.slots_of(e)]
+        return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
+
+    def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
+        """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
+        slots, phi = self.slots_of(effect), self._bases_of([effect])
+        values = np.zeros(self.r.shape)
+        for slot in dict.fromkeys(slots):
+            own = [k for k, other in enumerate(slots) if other == slot]
+            values += self.G[:, :, slot] * (phi[:, own] @ beta[own])[:, None]
+        return values
+
+    def _bases_of(self, effects: Sequence[Effect]) -> np.ndarray:
+        """Bases of each coefficient of some effects, shape (N, d)."""
+        known = [self._index(e)[1] for e in effects]
+        if all(bases is not None for bases in known):
+            return self.phi[:, [k for bases in known for k in bases or ()]]
+        return np.column_stack([evaluate(c.basis, self.table) for e in effects for c in e.coefficients])
+
+    def seen(self, values: np.ndarray) -> np.ndarray:
+        """Columns (N, m, d) less what unknown things take up."""
+        return values if self.off is None else self.off(values)
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect that is in the model; a smooth one by the modes that its data can tell, each with unit prior.
+
+    Attributes:
+        effect: The effect.
+        score: Its evidence, and its shape if it is smooth.
+        modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
+        stated: True if the campaign declares it: it stays, whatever the evidence.
+        prior: Precision of each coefficient beforehand, if it is not smooth.
+    """
+
+    effect: Effect
+    score: Score
+    modes: np.ndarray
+    stated: bool = False
+    prior: float = 0.0
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Prior precision of what is solved for."""
+        return (1.0 if self.effect.smooth else self.prior) * np.eye(self.modes.shape[1])
+
+    @property
+    def coefficient_precision(self) -> np.ndarray:
+        """Prior precision of its coefficients, shape (d, d)."""
+        if not self.effect.smooth:
+            return self.prior * np.eye(len(self.effect.coefficients))
+        return smooth_precision(self.effect.shape, self.score.tau, self.score.kernel)
+
+    @property
+    def root(self) -> np.ndarray:
+        """Combinations of its coefficients that are independent beforehand, shape (d, d)."""
+        if not self.effect.smooth:
+            return np.eye(len(self.effect.coefficients))
+        return self.score.tau * samples_root(self.effect.shape, self.score.kernel)
+
+    def columns(self, model: LinearModel) -> np.ndarray:
+        """Its columns, shape (N, m, d or modes)."""
+        return model.columns(self.effect) @ self.modes

@@ -1,0 +1,146 @@
+"""Every cause of noise that can be asked about: which numbers of a row it ties together, and how much it adds to each.
+
+Channels, readings, range and lines of sight follow from the model alone. What has a shape
+(:mod:`aridcal.engine.search.noise_shapes`) is aimed anew as long as it is not in the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.fit.problem import Problem, problem, scaled
+from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.shared_readings import Stack
+from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, columns
+from aridcal.engine.instruments.setup import Block
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search import noise_shapes
+from aridcal.engine.search.noise_shapes import Seen, Shape
+
+ALL_ALIKE = "all revolute joints"
+"""Name of the cause that readings of all of them scatter alike: rounded to the same digit, or of the same encoder."""
+
+Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeatability"] | noise_shapes.Kind
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A cause that may be there.
+
+    Attributes:
+        kind: As of a :class:`NoiseCause` (:mod:`aridcal.engine.search.noise_causes`).
+        name: Likewise.
+        unit: Likewise.
+        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d): d independent numbers.
+        shape: What it lies along, where that is not the model's alone to say.
+    """
+
+    kind: Kind
+    name: str
+    unit: str
+    root: np.ndarray
+    shape: Shape | None = None
+
+    @property
+    def common(self) -> bool:
+        """True if all rows of a standstill share it."""
+        return self.kind in ("joint", "joints")
+
+    @property
+    def blocks(self) -> np.ndarray:
+        """Covariance of each row per unit of its variance, shape (N, m, m)."""
+        return np.asarray(self.root @ self.root.transpose(0, 2, 1))
+
+    @property
+    def parts(self) -> tuple[Asked, ...]:
+        """What of it may come back by itself: each joint."""
+        if self.kind != "joints":
+            return (self,)
+        return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
+
+    def stacked(self, still: Stack) -> np.ndarray:
+        """The same of standstills, shape (S, M, M)."""
+        if not self.common:
+            return still.matrices(self.blocks)
+        root = still.vectors(self.root)
+        return np.asarray(root @ root.transpose(0, 2, 1))
+
+
+def there(rows: Dataset) -> np.ndarray:
+    """Which numbers each row measures, shape (N, m) bool."""
+    return np.repeat(rows.measures, [channel.size for channel in rows.channels], axis=1)
+
+
+def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
+    """Every cause that follows from the model alone, no row's residual looked at; and where the targets are."""
+    rows, model = question.data, question.model
+    at = np.concatenate([theta, np.zeros(len(model.own_motions))])
+    more = problem(model.with_motions(model.own_motions), rows).settled(at)
+    J = moved_by(more, at, len(model.own_motions))
+    own = there(rows)[:, :, None] * np.eye(J.shape[1])
+    parts = list(zip(rows.channels, columns(rows.channels), strict=True))
+    found = [Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
+    moved = J @ model.robot.factors
+    for k, (reading, kind) in enumerate(zip(model.robot.readings, model.robot.kinds, strict=True)):
+        found.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+    turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
+    if turning.sum() > 1:
+        found.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
+    R, p = more.model.poses(at, more.rows)
+    for what, name, unit, root in _of_instruments(rows, p, own):
+        found.append(Asked(what, name, unit, scaled(root, rows.relative)))
+    return found, _seen(rows, R, p, own)
+
+
+def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
+    """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
+    axes, turned = {}, {}
+    for block, channel, part in _channels(rows):
+        if block.traits.tracked and channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes):
+            axes[channel.name] = scaled(own[:, :, part], rows.relative)
+    for block in rows.blocks:
+        name = {channel.axes: channel.name for channel in block.channels}
+        if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
+            turned[name[TARGET_POSITION.axes]] = name[TARGET_ROTATION.axes]
+    return Seen(R, p, axes, turned)
+
+
+def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
+    """Channels, the blocks that they are of, and where their numbers are."""
+    blocks = [block for block in rows.blocks for _ in block.channels]
+    yield from zip(blocks, rows.channels, columns(rows.channels), strict=True)
+
+
+def shaped(shape: Shape, seen: Seen) -> Asked:
+    """Noise of a shape as a cause."""
+    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, seen), shape)
+
+
+def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
+    """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
+
+    The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
+    """
+    away = np.linalg.norm(p, axis=1)
+    for block, channel, part in _channels(rows):
+        tracked = block.traits.tracked
+        # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
+        if tracked and channel.axes == TARGET_POSITION.axes:
+            yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
+        if tracked and channel.axes == TARGET_ROTATION.axes:
+            sight = p / np.maximum(away, FLOOR)[:, None]
+            yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
+        if block.traits.ranges:
+            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
+        if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
+            yield "repeatability", channel.name, channel.unit, own[:, :, part]
+
+
+def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Columns of shape (N, m, d) times the rows' relative sigmas or factors (see :class:`Dataset`)."""
+    return np.asarray(relative @ values if relative.ndim == 3 else relative[:, :, None] * values)

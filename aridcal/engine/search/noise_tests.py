@@ -1,0 +1,377 @@
+"""Is what remains noise? Repeats, neighbours, order, jumps and the stated noise, each asked on its own.
+
+What moves with the base looks alike in world axes, what moves with the target in the target's, and what a joint's zero does
+only as that joint's own motion. So neighbours, order and jumps are asked in all of these, and the answer is the clearest of
+them, corrected for their number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.special import chdtr, chdtrc, ndtr
+
+from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.normal_equations import TINY
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.instruments.channels import columns, spread
+from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.change_points import SIDE
+from aridcal.system.progress import SILENT, Progress
+
+SURE = 7e-4
+"""Chance of a false alarm of each question. There are seven at the most: one of 200 clean campaigns is called structured."""
+
+LEAST = 0.1
+"""Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
+
+NEIGHBOURS = 4
+"""Nearest configurations that a row is compared with."""
+
+FEWEST = 16
+"""Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
+
+FEWEST_OF_A_THING = 5
+"""Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
+
+REACH = 3
+"""Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
+
+SHUFFLES = 400
+"""Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
+
+TOGETHER = 2**17
+"""Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
+
+ASKED = 10_000
+"""Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
+
+STRETCHES = 20
+"""Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these what
+changes slowly."""
+
+FELT = 1e-9
+"""Share of its largest lever below which a joint moves the target in none of a row's numbers."""
+
+Question = Literal[
+    "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
+]
+
+
+@dataclass(frozen=True)
+class View:
+    """Residuals as something may have moved: in some axes, or along one joint's own motion.
+
+    Attributes:
+        words: Which, for messages.
+        white: In sigmas, shape (N, k).
+    """
+
+    words: str
+    white: np.ndarray
+
+
+@dataclass(frozen=True)
+class Clue:
+    """One question to the residual.
+
+    Attributes:
+        question: Which.
+        what: In words.
+        share: Of the remaining variance that it shows to be repeatable, 0 to 1.
+        p_value: If the residual were white.
+    """
+
+    question: Question
+    what: str
+    share: float
+    p_value: float
+
+    @property
+    def tells(self) -> bool:
+        """True if it shows structure worth a word."""
+        return self.p_value < SURE and self.share > LEAST
+
+
+def clues(
+    rows: Dataset,
+    residual: np.ndarray,
+    repeats: Repeats | None,
+    freedom: float,
+    fit: Fit | None = None,
+    progress: Progress = SILENT,
+) -> list[Clue]:
+    """Ask whether residuals are white.
+
+    Args:
+        rows: The rows in use; their declared noise is asked about too.
+        residual: Theirs, scaled by their relative sigmas, shape (N, m).
+        repeats: Scatter of repeated configurations, if there are any.
+        freedom: Share of the numbers that is left after fitting, 0 to 1.
+        fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
+        progress: Told how often the rows are shuffled.
+    """
+    sigma = rms_of_channels(residual, rows)
+    residual = np.nan_to_num(residual)
+    white = residual / spread(sigma, rows.channels)
+    found = [_repeated(repeats, sigma)] if repeats is not None else []
+    if len(white) > FEWEST:
+        some = stretches(rows.sequence, ASKED)
+        part = rows if len(some) == len(rows) else rows.select(some)
+        others = _other_views(part, residual[some], sigma, fit) if fit else []
+        views = [View("in world axes", white[some]), *others]
+        found.append(_neighbours(views, part.readings))
+        each = "measurements" if "time" in part.covariates else "rows"
+        order = part.sequence
+        found.append(_alike("order", f"consecutive {each} have similar residuals", views, order[:-1], order[1:]))
+        found += _changes(views, part, progress)
+    if not rows.direct:
+        found += _of_one_thing(rows, white)
+    return found + _stated(rows, sigma, freedom)
+
+
+def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
+    """Numbers of all rows, or of many those of :data:`STRETCHES` stretches on end that are spread evenly, ascending.
+
+    Args:
+        sequence: Numbers of the N rows in the order of measurement, shape (N,).
+        most: How many rows.
+    """
+    if len(sequence) <= most:
+        return np.arange(len(sequence))
+    length = most // STRETCHES
+    first = np.linspace(0, len(sequence) - length, STRETCHES).round().astype(int)
+    return np.sort(sequence[(first[:, None] + np.arange(length)).ravel()])
+
+
+def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
+    """Does a thing leave more than the others: a marker that is not where its table says, a socket that came loose?
+
+    Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
+    """
+    roles = [labelled(block.kind) for block in rows.blocks]
+    told = np.array([bool(own) for own in roles])[rows.labels.block]
+    names = np.where(
+        rows.labels.refers[:, 2] != "", rows.labels.refers[:, 2], np.where(told, rows.labels.refers[:, 0], "")
+    )
+    title = np.array([own[-1].name if own else block.name for own, block in zip(roles, rows.blocks, strict=True)])
+    labels, thing = np.unique(np.char.add(np.char.add(title[rows.labels.block], " "), names), return_inverse=True)
+    numbers = np.sum(white != 0.0, axis=1)
+    square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
+    count, own = np.bincount(thing), np.bincount(thing, square)
+    asked = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
+    if not asked:
+        return []
+    from scipy.stats import mannwhitneyu  # slow to load, and only several things need it
+
+    found = []
+    for k in asked:
+        here = thing == k
+        chance = float(mannwhitneyu(square[here], square[~here], alternative="greater").pvalue)
+        rest = float(np.mean(square[~here]))
+        share = float(np.clip((own[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
+        ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
+        what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
+        found.append(Clue("thing", what, share, min(1.0, len(asked) * chance)))
+    return [min(found, key=lambda clue: clue.p_value)]
+
+
+def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
+    """RMS of each channel over the rows that measure it, shape (C,), from residuals of shape (N, m); FLOOR where none does."""
+    parts = zip(columns(rows.channels), rows.measures.T, strict=True)
+    return np.array([np.sqrt(np.mean(residual[own][:, part] ** 2)) if own.any() else FLOOR for part, own in parts])
+
+
+def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
+    """Residuals in the target's axes, and as each joint's own motion.
+
+    With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
+    and of variance 1 if r is.
+    """
+    robot = fit.model.robot
+    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
+    scale = spread(sigma, rows.channels)
+    views = []
+    if all(channel.axes == ("x", "y", "z") or channel.axes == ("rx", "ry", "rz") for channel in rows.channels):
+        R, _ = asked.model.poses(theta, asked.rows)
+        parts = columns(rows.channels)
+        turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
+        views.append(View("in the target's axes", turned / scale))
+    J = moved_by(asked, theta, len(robot.joints)) / scale[:, None]
+    lever = np.linalg.norm(J, axis=1)
+    along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
+    for k, name in enumerate(robot.names):
+        felt = lever[:, k] > FELT * lever.max()
+        if felt.all():
+            views.append(View(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
+    return views
+
+
+def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
+    """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
+    numbers = float(repeats.freedom.sum())
+    share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
+    p_value = float(chdtr(numbers, numbers * (1.0 - share)))
+    return Clue("repeats", "repeats scatter less than the residual", share, p_value)
+
+
+def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
+    """Do rows at near configurations err alike?"""
+    rows, others = _nearest(readings)
+    apart = rows != others  # of rows that are all alike, the row itself need not be the first
+    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart])
+
+
+def neighbours(rows: Dataset) -> list[np.ndarray]:
+    """Pairs of neighbouring rows, shape (pairs, 2) each, in several orders.
+
+    In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
+    nearest.
+    """
+    along = [np.argsort(q, kind="stable") for q in rows.readings.T[_moves(rows.readings)]]
+    nearest = np.sort(np.column_stack(_nearest(rows.readings)), axis=1)
+    return [*map(_successors, [rows.sequence, *along]), np.unique(nearest, axis=0)]
+
+
+def _moves(readings: np.ndarray) -> np.ndarray:
+    """Which joints are not always at the same reading, shape (columns,) bool."""
+    return np.asarray(readings.std(axis=0) > FLOOR)
+
+
+def _nearest(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each row, and its :data:`NEIGHBOURS` nearest, in standard deviations of each joint's readings, shape (pairs,) each."""
+    points = readings[:, _moves(readings)]
+    points = points / points.std(axis=0)
+    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
+    return np.repeat(np.arange(len(points)), NEIGHBOURS), near.ravel()
+
+
+def _successors(order: np.ndarray) -> np.ndarray:
+    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
+    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
+
+
+def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+    """Correlation of pairs of rows, the first and the second of each, shape (pairs,), against what it is in all their orders."""
+    white, starts = _side_by_side(views)
+    seen = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
+    mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
+    z = (seen - mean) / np.maximum(deviation, TINY)
+    best = int(np.argmax(z))
+    p_value = min(1.0, len(views) * float(ndtr(-z[best])))
+    share = seen[best] / (len(first) * views[best].white.shape[1])
+    return Clue(question, f"{what} {views[best].words}", float(np.clip(share, 0.0, 1.0)), p_value)
+
+
+def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+    r"""Mean and standard deviation of the sum of products of pairs of rows, over all orders of the rows.
+
+    With W symmetric, half the number of times that rows i and j are a pair, :math:`G = x x^T`, :math:`n_{(k)}` the product of k
+    factors :math:`n (n - 1) \dots` and, off the diagonal, :math:`T_0 = \sum W_{ij}`, :math:`T_1 = \sum W_{ij}^2`,
+    :math:`T_2 = \sum_i (\sum_j W_{ij})^2` and U the same of G,
+
+    .. math:: E = \frac{T_0 U_0}{n_{(2)}}, \quad E^{(2)} = \frac{2 T_1 U_1}{n_{(2)}} + \frac{4 (T_2 - T_1) (U_2 - U_1)}{n_{(3)}}
+        + \frac{(T_0^2 + 2 T_1 - 4 T_2) (U_0^2 + 2 U_1 - 4 U_2)}{n_{(4)}}
+
+    are the first two moments (N. Mantel, Cancer Research 27, 1967, 209-220).
+
+    Args:
+        x: Shape (n, m), four rows at least.
+        first: One row of each pair, shape (pairs,), never the same as the other.
+        second: The other.
+    """
+    n = len(x)
+    _, times = np.unique(np.minimum(first, second) * n + np.maximum(first, second), return_counts=True)
+    count = 0.5 * (np.bincount(first, minlength=n) + np.bincount(second, minlength=n))
+    T0, T1, T2 = float(len(first)), 0.5 * float(times @ times), float(count @ count)
+    own, total = np.einsum("nm,nm->n", x, x), x.sum(axis=0)
+    of_row = x @ total - own
+    U0, U1, U2 = float(of_row.sum()), float(np.sum((x.T @ x) ** 2) - own @ own), float(of_row @ of_row)
+    pairs, threes, fours = n * (n - 1.0), n * (n - 1.0) * (n - 2.0), n * (n - 1.0) * (n - 2.0) * (n - 3.0)
+    mean = T0 * U0 / pairs
+    square = 2.0 * T1 * U1 / pairs + 4.0 * (T2 - T1) * (U2 - U1) / threes
+    square += (T0**2 + 2.0 * T1 - 4.0 * T2) * (U0**2 + 2.0 * U1 - 4.0 * U2) / fours
+    return mean, float(np.sqrt(max(square - mean**2, 0.0)))
+
+
+def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+    """All views in one array, shape (N, columns), and where each begins."""
+    sizes = [view.white.shape[1] for view in views]
+    return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
+
+
+def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[Clue]:
+    """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
+    sequence = rows.sequence
+    by_file = sequence[np.argsort(rows.origin.file[sequence], kind="stable")]
+    orders = [by_file] if np.array_equal(by_file, sequence) else [by_file, sequence]
+    found = []
+    for order in orders:
+        words = "" if np.array_equal(order, rows.as_read) else " in the order of time"
+        found.append(_change(views, rows, order, words, progress))
+    return found
+
+
+def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
+    r"""The largest step of the mean of any view, over all rows where it might be.
+
+    .. math:: x = \max_k \frac{|S_k|^2}{k (1 - k / N)}, \qquad S_k = \sum_{n \le k} (r_n - \bar r)
+
+    What chance makes of it comes from shuffled rows; maxima of many follow Gumbel's distribution, whose two numbers the
+    shuffles give (Worsley 1986, doi:10.1093/biomet/73.1.91, has exact bounds where noise is normal).
+    """
+    rng = np.random.default_rng(0)
+    white, starts = _side_by_side(views)
+    white = white - white.mean(axis=0)
+    n = len(white)
+    before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
+    weight = before * (1.0 - before / n)
+
+    # Column by column: sums and maxima run along what lies side by side in memory.
+    turned = np.ascontiguousarray(white.T)
+    parts = [slice(start, start + view.white.shape[1]) for start, view in zip(starts.tolist(), views, strict=True)]
+
+    def statistics(orders: np.ndarray) -> Iterator[np.ndarray]:
+        """Of several orders of the rows, (b, n): steps of each view, (b, places)."""
+        squares = np.cumsum(turned[:, orders], axis=2)[:, :, before[0] - 1 : before[-1]]
+        np.square(squares, out=squares)
+        return (squares[part].sum(axis=0) / weight for part in parts)
+
+    steps = [step[0] for step in statistics(order[None])]
+    seen = np.array([step.max() for step in steps])
+    each, drawn = max(TOGETHER // white.size, 1), []
+    for first in progress.over(range(0, SHUFFLES, each), "shuffles of the rows"):
+        orders = np.array([rng.permutation(n) for _ in range(min(each, SHUFFLES - first))])
+        drawn.append(np.transpose([step.max(axis=1) for step in statistics(orders)]))
+    shuffled = np.concatenate(drawn)
+    scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
+    place = shuffled.mean(axis=0) - np.euler_gamma * scale
+    chances = -np.expm1(-np.exp((place - seen) / scale))
+    best = int(np.argmin(chances))
+    total = float(np.sum(views[best].white ** 2))
+    share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
+    k = int(before[np.argmax(steps[best])])
+    last, following = rows.origin.line[order[k - 1 : k + 1]]
+    what = f"residuals jump between rows {last} and {following}{words}, {views[best].words}"
+    return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
+
+
+def _stated(rows: Dataset, sigma: np.ndarray, freedom: float) -> list[Clue]:
+    """Is the residual larger than the declared noise? A share ``freedom`` of the numbers is left after fitting."""
+    found = []
+    for channel, stated, seen, own in zip(rows.channels, rows.sigma, sigma, rows.measures.T, strict=True):
+        if stated:
+            numbers, ratio = channel.size * float(own.sum()) * freedom, seen / stated
+            share = float(np.clip(1.0 - ratio**-2, 0.0, 1.0))
+            p_value = float(chdtrc(numbers, numbers * ratio**2))
+            found.append(Clue("declared", f"the residual exceeds the declared {channel.name} noise", share, p_value))
+    return found

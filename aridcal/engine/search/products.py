@@ -1,0 +1,447 @@
+r"""Products of a linearised model's columns, each made once: what every trial of a search is put together from.
+
+A search solves and scores the same columns hundreds of times, in other company and with other noise. With :math:`X_e` the
+columns of an effect (or of the constants), all sums that this needs are
+
+.. math:: \sum_{n \in f, c} X_e^T X_{e'}, \qquad \sum_{n \in f, c} X_e^T r
+
+fold by fold f and channel by channel c for effects that were in the model once, over all folds for the rest of the library.
+Rows that a state does not use are few: theirs are taken off. So the cost of a trial does not grow with the rows.
+
+Functions of one covariate on knots, tried as motions of many slots, are a :class:`Grid`: their columns are never made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain, pairwise
+from typing import Any
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.instruments.channels import Channels, columns
+from aridcal.engine.search.grids import Grid, Local, grid_of, local, moved_rows, moving
+
+CHUNK = 128
+"""Columns that are multiplied at once: their Gram matrix stays in the cache."""
+
+PIECE = 24
+"""Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of fewer
+columns each call costs more than its sums."""
+
+GRID = 4
+"""Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their columns."""
+
+KEPT = 2**25
+"""Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
+needed."""
+
+LIMBS = 16
+"""Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few rows."""
+
+MEMBERS = 24
+"""Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
+
+# What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
+Member = tuple[Effect | None, np.ndarray]
+
+# Numbers of each channel under one another: (N size, d) or (N size,) each.
+Flat = tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where columns come from; rows in the order of the folds.
+
+    Attributes:
+        make: Columns of effects side by side, of all rows or of those at some places.
+        apart: The slots and the functions of which an effect's columns are the products; None where they are not products.
+        slots: Columns of some slots, (N, size, slots) for each channel.
+        functions: Values of some functions, shape (N, functions).
+    """
+
+    make: Callable[[Sequence[Effect], np.ndarray | None], Flat]
+    apart: Callable[[Effect], tuple[tuple[int, ...], tuple[int, ...]] | None]
+    slots: Callable[[Sequence[int]], Flat]
+    functions: Callable[[Sequence[int]], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Rows in the order of their folds, so that each fold is a stretch.
+
+    Attributes:
+        channels: What each row measures.
+        order: Row at each place, shape (N,).
+        starts: First place of each fold, and the end, shape (F + 1,).
+    """
+
+    channels: Channels
+    order: np.ndarray
+    starts: np.ndarray
+
+    @classmethod
+    def of(cls, fold: np.ndarray, channels: Channels) -> Layout:
+        """Of rows with folds of shape (N,)."""
+        order = np.argsort(fold, kind="stable")
+        different = np.unique(fold)
+        return cls(channels, order, np.append(np.searchsorted(fold[order], different), len(fold)))
+
+    def flat(self, values: np.ndarray) -> Flat:
+        """Columns (N, m, d) or residuals (N, m), channel by channel, in the order of the folds."""
+        _, _, *tail = values.shape
+        ordered = values[self.order]
+        parts = zip(self.channels, columns(self.channels), strict=True)
+        return tuple(ordered[:, part].reshape(len(ordered) * channel.size, *tail) for channel, part in parts)
+
+    def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
+        rows = len(self.order)
+        ordered = np.concatenate([x.reshape(rows, len(x) // rows, x.shape[1]) for x in parts], axis=1)
+        values = np.empty_like(ordered)
+        values[self.order] = ordered
+        return values
+
+    def stretches(self, size: int) -> list[slice]:
+        """Numbers of each fold in a channel of so many numbers a row."""
+        return [slice(low, high) for low, high in pairwise((self.starts * size).tolist())]
+
+    def numbers(self, places: np.ndarray) -> list[np.ndarray]:
+        """Numbers of some rows in each channel, from the rows' places."""
+        sizes = [channel.size for channel in self.channels]
+        return [(places[:, None] * size + np.arange(size)).ravel() for size in sizes]
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Candidates that are multiplied together, w columns.
+
+    Attributes:
+        effects: The candidates.
+        own: X'X, shape (C, w, w), of columns that are far apart 0: no two candidates are asked about together; of a grid each
+            candidate's own, shape (C, candidates, d, d).
+        pull: X'r, shape (C, w).
+        across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
+        columns: X itself, where there is room for it.
+        rows: Places in the order of the folds outside of which X is zero: those of a limb; None for all.
+        grid: What makes them, if they are one.
+    """
+
+    effects: tuple[Effect, ...]
+    own: np.ndarray
+    pull: np.ndarray
+    across: dict[Effect | None, np.ndarray]
+    columns: Flat | None
+    rows: np.ndarray | None = None
+    grid: Grid | None = None
+
+    def of_one(self, where: slice) -> np.ndarray:
+        """X'X of one candidate, shape (C, d, d)."""
+        if self.grid is None:
+            return self.own[:, where, where]
+        return np.asarray(self.own[:, where.start // (where.stop - where.start)])
+
+
+class Products:
+    """What was multiplied so far of one linearised model."""
+
+    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
+        """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
+        self.layout, self.r, self._source = layout, layout.flat(r), source
+        self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
+        self._between: dict[tuple[Effect | None, Effect | None], np.ndarray] = {}
+        self._solved: dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+        self._pull: dict[Effect | None, np.ndarray] = {}
+        self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
+        self._of_limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
+        self._local: dict[tuple[int, ...], Local | None] = {}
+        self._moved: dict[int, bytes] = {}
+        self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
+        self._known: dict[Effect, None] = {}
+        self.constants: Member = None, np.eye(A.shape[2])
+        self._place: dict[Effect, tuple[Chunk, slice]] = {}
+        self._kept = 0
+        self.squares = self._folds(self.r, self.r)
+
+    def made_by(self, source: Source) -> Products:
+        """The same, columns made by a model that has further bases."""
+        self._source = source
+        self._local.clear()  # known by numbers, which may mean other functions there
+        self._moved.clear()
+        self._moving.clear()
+        return self
+
+    def flat(self, effects: Sequence[Effect]) -> Flat:
+        """Columns of effects side by side, in the order of the folds."""
+        return self._source.make(effects, None)
+
+    def now_in_the_model(self, members: Sequence[Member]) -> None:
+        """Forget what was in the model longest ago, if more is kept than there is room for."""
+        for effect, _ in members:
+            if effect is not None:
+                self._known[effect] = self._known.pop(effect, None)  # now the last
+        if len(self._solved) > len(members) ** 2:
+            now = {id(modes) for _, modes in members}
+            self._solved = {key: made for key, made in self._solved.items() if now.issuperset(key)}
+        most = max(MEMBERS, len(members))
+        for old in list(self._known)[: max(len(self._known) - most, 0)]:
+            self._forget(old)
+
+    def forget(self) -> None:
+        """Keep nothing: no more is asked."""
+        for effect in list(self._known):
+            self._forget(effect)
+        self._solved.clear()
+        self._place.clear()
+        self._moving.clear()
+        self._of_limbs.clear()
+        self._kept = 0
+
+    def _forget(self, effect: Effect) -> None:
+        del self._known[effect]
+        for of_one in (self._columns, self._pull):
+            of_one.pop(effect, None)
+        of_several: tuple[dict[Any, Any], ...] = (self._between, self._ordered, self._of_limbs)
+        for made in of_several:
+            for key in [key for key in made if effect in key]:
+                del made[key]
+        for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
+            if effect in chunk.across:
+                self._kept -= chunk.across.pop(effect).size
+
+    def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
+        """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
+        if (of, member) not in self._ordered:
+            place = np.argsort(self.layout.order)[order]
+            parts = [x.reshape(len(place), -1, x.shape[1])[place] for x in self.columns(member)]
+            self._ordered[of, member] = np.concatenate(parts, axis=1)
+        return self._ordered[of, member]
+
+    def columns(self, of: Effect | None) -> Flat:
+        """Columns of an effect that is, or was, in the model (None: of the constants); they are kept."""
+        if of not in self._columns:
+            assert of is not None
+            self._known.setdefault(of, None)
+            self._columns[of] = self.flat([of])
+        return self._columns[of]
+
+    def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
+        """Products of two such, shape (F, C, da, db)."""
+        if (a, b) not in self._between:
+            left, right = self._as_grid(a), self._as_grid(b)
+            if left is not None:
+                made = self._folds_of_grid(left, self.columns(b) if right is None else right)
+            elif right is not None:
+                made = self._folds_of_grid(right, self.columns(a)).transpose(0, 1, 3, 2)
+            else:
+                made = self._folds(self.columns(a), self.columns(b))
+            self._between[a, b] = made
+            self._between[b, a] = made.transpose(0, 1, 3, 2)
+        return self._between[a, b]
+
+    def in_modes(self, a: Member, b: Member) -> np.ndarray:
+        """The same of what is solved for, shape (F, C, modes of a, modes of b): most of it stays from trial to trial."""
+        key = id(a[1]), id(b[1])
+        if key not in self._solved:  # kept with the modes themselves, so that no other array gets their identity
+            self._solved[key] = a[1], b[1], np.ascontiguousarray(a[1].T) @ self.between(a[0], b[0]) @ b[1]
+        return self._solved[key][2]
+
+    def pull(self, of: Effect | None) -> np.ndarray:
+        """Products with the residual, shape (F, C, d)."""
+        if of not in self._pull:
+            self._pull[of] = self._folds(self.columns(of), self.r)
+        return self._pull[of]
+
+    def _folds(self, X: Flat, Y: Flat) -> np.ndarray:
+        """Products of columns fold by fold, shape (F, C, ...)."""
+        stretches = zip(*(self.layout.stretches(channel.size) for channel in self.layout.channels), strict=True)
+        return np.array([[x[own].T @ y[own] for x, y, own in zip(X, Y, fold, strict=True)] for fold in stretches])
+
+    def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
+        """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""
+        made = []
+        for low, high in pairwise(self.layout.starts.tolist()):
+            if isinstance(Y, Grid):
+                made.append(grid.part(low, high).across_grid(Y.part(low, high)))
+            else:
+                own = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
+                made.append(grid.part(low, high).across(own))
+        return np.array(made)
+
+    def _as_grid(self, member: Effect | None) -> Grid | None:
+        """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
+        taken = None if member is None else self._source.apart(member)
+        functions = None if taken is None or len(taken[0]) > 1 else self._functions(taken[1])
+        return None if taken is None or functions is None else grid_of(*self._slots(taken[0]), functions)
+
+    def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
+        """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
+        places = [self._place.get(e) for e in effects]
+        new = [e for e, place in zip(effects, places, strict=True) if place is None]
+        yield from {id(place[0]): place[0] for place in places if place is not None}.values()
+        grids, others = self._grids(new)
+        of_grids = (self._grid(*grid) for grid in grids)
+        for chunk in chain(of_grids, (self.chunk(group, rows) for rows, own in others for group in grouped(own))):
+            if self._room(chunk.own.size):
+                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
+                kept = chunk if room else replace(chunk, columns=None)
+                for effect, own in placed(chunk.effects):
+                    self._place[effect] = kept, own
+            yield chunk
+
+    def _functions(self, bases: tuple[int, ...]) -> Local | None:
+        """Values of functions on knots; None if they are not local."""
+        if bases not in self._local:
+            self._local[bases] = local(self._source.functions(bases))
+        return self._local[bases]
+
+    def _slots(self, slots: tuple[int, ...]) -> tuple[Flat, np.ndarray | None]:
+        """Columns of some slots in the rows that they move, (n, size, slots) for each channel, and those rows; they are kept."""
+        if slots not in self._moving:
+            self._moving[slots] = moving(self._source.slots(slots))
+        return self._moving[slots]
+
+    def _grids(
+        self, effects: Sequence[Effect]
+    ) -> tuple[list[tuple[tuple[int, ...], dict[Effect, int]]], list[tuple[np.ndarray | None, list[Effect]]]]:
+        """Candidates of the same functions that move the same rows, with their slots; the others by the rows that they move."""
+        alike: dict[tuple[tuple[int, ...], bytes], dict[Effect, int]] = {}
+        moved = {}
+        for effect in effects:
+            slots, bases = self._source.apart(effect) or ((), ())
+            moved[effect] = self._rows_moved(slots)
+            if effect.smooth and len(slots) == 1:
+                alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
+        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+        others: dict[bytes, list[Effect]] = {}
+        of_grids = {effect for _, own in grids for effect in own}
+        for effect in effects:
+            if effect not in of_grids:
+                others.setdefault(moved[effect], []).append(effect)
+        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, own) for key, own in others.items()]
+
+    def _rows_moved(self, slots: Sequence[int]) -> bytes:
+        """Places of the rows that slots move; none if those are nearly all, or not the same for each of them."""
+        for slot in slots:
+            if slot not in self._moved:
+                rows = moved_rows(self._source.slots([slot]))
+                self._moved[slot] = b"" if rows is None else rows.tobytes()
+        keys = {self._moved[slot] for slot in slots}
+        return keys.pop() if len(keys) == 1 else b""
+
+    def _grid(self, bases: tuple[int, ...], effects: dict[Effect, int]) -> Chunk:
+        """Candidates of the same functions multiplied together."""
+        functions = self._functions(bases)
+        assert functions is not None
+        made = grid_of(*self._slots(tuple(effects.values())), functions)
+        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made.rows, made)
+
+    def _room(self, numbers: int, most: int = KEPT) -> bool:
+        """Whether so many numbers more are kept; they are counted."""
+        room = self._kept + numbers <= most
+        self._kept += numbers if room else 0
+        return room
+
+    def chunk(self, effects: Sequence[Effect], rows: np.ndarray | None = None) -> Chunk:
+        """Candidates multiplied together, zero but in some rows if these are given; they are not kept."""
+        X = self._source.make(effects, rows)
+        own = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
+        for low, high in pieces(effects):
+            for values, x in zip(own, X, strict=True):
+                values[low:high, low:high] = x[:, low:high].T @ x[:, low:high]
+        right = self.r if rows is None else [r[n] for r, n in zip(self.r, self.layout.numbers(rows), strict=True)]
+        pull = np.array([x.T @ r for x, r in zip(X, right, strict=True)])
+        return Chunk(tuple(effects), own, pull, {}, X, rows)
+
+    def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
+        """Where a candidate is: among those that were scored with the library, or by itself."""
+        return self._place.get(effect) or (self.chunk([effect]), slice(None))
+
+    def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
+        """Columns of a chunk in some rows, given by their places in the order of the folds, shape (rows size, w) a channel."""
+        if chunk.columns is None or chunk.rows is not None:
+            return list(self._source.make(chunk.effects, places))
+        return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
+
+    def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
+        """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
+        found = {effect: chunk.across.get(effect) for effect, _ in members}
+        new = [effect for effect, made in found.items() if made is None]
+        X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
+        for effect in new:
+            grid = self._as_grid(effect)
+            if chunk.grid is not None and grid is not None:
+                made = chunk.grid.across_grid(grid)
+            elif grid is not None and chunk.rows is None:
+                made = grid.across(X).transpose(0, 2, 1)
+            else:
+                made = self._with_columns(chunk, X, effect)
+            found[effect] = made
+            if chunk.effects[0] in self._place and self._room(made.size):
+                chunk.across[effect] = made
+        return [made for made in found.values() if made is not None]
+
+    def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
+        """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
+        Y = self.columns(member)
+        limbs = [chunk.rows] if chunk.rows is not None else self._limbs if chunk.grid is not None else []
+        if not limbs:
+            return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
+        made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
+        for rows in limbs:
+            own, some = self._in_rows(member, rows)
+            if chunk.grid is not None:
+                made[:, :, some] += chunk.grid.among(rows).across(own)
+            else:
+                made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
+        return made
+
+    @cached_property
+    def _limbs(self) -> list[np.ndarray]:
+        """Places of the rows that the same constants move, limb by limb; none where these are all rows, or hardly any."""
+        by_row = [y.reshape(len(self.layout.order), -1, y.shape[1]) for y in self.columns(None)]
+        moved = np.packbits(np.any([y.any(axis=1) for y in by_row], axis=0), axis=1)
+        kinds, number = np.unique(moved, axis=0, return_inverse=True)
+        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
+
+    def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
+        """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
+        key = member, rows.tobytes()
+        if key not in self._of_limbs:
+            here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
+            some = np.flatnonzero(np.any([y.any(axis=0) for y in here], axis=0))
+            self._of_limbs[key] = tuple(y[:, some] for y in here), some
+        return self._of_limbs[key]
+
+
+def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
+    """Candidates in groups of about :data:`CHUNK` columns."""
+    groups: list[list[Effect]] = []
+    size = CHUNK
+    for effect in effects:
+        if size + len(effect.coefficients) > CHUNK:
+            groups.append([])
+            size = 0
+        groups[-1].append(effect)
+        size += len(effect.coefficients)
+    return groups
+
+
+def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
+    """First column, and one beyond the last, of pieces of about :data:`PIECE` columns that hold whole candidates."""
+    ends = [0]
+    end = 0
+    for k, effect in enumerate(effects):
+        end += len(effect.coefficients)
+        if end - ends[-1] >= PIECE or k == len(effects) - 1:
+            ends.append(end)
+    return list(pairwise(ends))
+
+
+def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
+    """Effects, and where their columns are when they stand side by side."""
+    ends = np.cumsum([0, *(len(e.coefficients) for e in effects)]).tolist()
+    return [(e, slice(low, high)) for e, low, high in zip(effects, ends[:-1], ends[1:], strict=True)]

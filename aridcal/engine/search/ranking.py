@@ -1,0 +1,100 @@
+"""Candidates ranked by what they would add to a model, and one of them put in."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.search.candidates import hinted
+from aridcal.engine.search.change_points import best_steps
+from aridcal.engine.search.evidence import Score
+from aridcal.engine.search.linear_model import LinearModel
+from aridcal.engine.search.scoring import ALPHA, refine, sources
+from aridcal.engine.search.screening import score_all
+from aridcal.engine.search.state import State, activate, noise_with
+from aridcal.system.progress import SILENT, Progress
+
+REFINED = 6
+"""Candidates whose score is found again with the noise of each channel apart: the best may change places."""
+
+PROMISING = 0.4
+"""Share of the best score below which a candidate is not scored again: it would not overtake."""
+
+HOPELESS = 0.33
+"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: noise apart
+moves so small a score by parts of a nat, where 9 are missing."""
+
+SMALL = 1e6
+"""Numbers measured times candidates, below which every choice is tried again after each step in little time."""
+
+ALIKE = 4
+"""Decimals of a gain [nat] that put candidates in order: the same motion of two places explains the same, and the first is taken,
+whatever rounding says."""
+
+MAPPED = 30.0
+"""Highest order that a joint_map resolves: 72 knots over a turn, two for each half period."""
+
+
+def is_small(model: LinearModel, library: Sequence[Effect]) -> bool:
+    """True where every choice can be tried again after each step in little time."""
+    return model.r.size * len(library) < SMALL and all(KINDS[e.kind].named for e in library)
+
+
+def rank(
+    state: State,
+    library: Sequence[Effect],
+    hints: Collection[str] = (),
+    also: Sequence[Effect] = (),
+    progress: Progress = SILENT,
+    known: Mapping[Effect, Score] | None = None,
+) -> list[tuple[Effect, Score]]:
+    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+
+    Args:
+        state: The model as it is.
+        library: Candidates; a step among them is tried where the residual asks for it most.
+        hints: Kinds of which those that the residual hints at are candidates too.
+        also: Further candidates, as they are.
+        progress: Told how many are scored.
+        known: Rough scores of candidates, where there are some.
+    """
+    jumps = [e for e in library if e.at is not None]
+    library = [*(e for e in library if e.at is None), *best_steps(state.model, state, jumps), *also]
+    taken = set(state.effects)
+    held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
+    every = dict.fromkeys([*library, *hinted(state, hints)])
+    free = [e for e in every if e not in taken and not _is_held(e, held)]
+    rough = dict(known or {})
+    new = [e for e in free if e not in rough]
+    rough.update(zip(new, score_all(state.model, new, state, progress), strict=True))
+    order = sorted(free, key=lambda e: -round(rough[e].gain, ALIKE))
+    top = rough[order[0]].gain if order else 0.0
+    hopeless = top < HOPELESS * float(np.log(max(len(every), 1) / ALPHA))
+    head = [] if hopeless else [e for e in order if rough[e].gain > PROMISING * top][:REFINED]
+    close = sorted(((e, refine(state, e, rough[e])) for e in head), key=lambda pair: -round(pair[1].gain, ALIKE))
+    refined = set(head)
+    return close + [(e, rough[e]) for e in order if e not in refined]
+
+
+def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
+    """True for what an effect of the model holds already: a gain or a slow harmonic of a joint that has a map."""
+    return (effect.kind, effect.where) in held and max(effect.order, default=0.0) < MAPPED
+
+
+def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
+    """Candidates that may be what an effect is taken for: of what joints alone decide, no step, where a scan takes long."""
+    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.own)
+    return [e for e in library if e.at is None or timed or is_small(state.model, library)]
+
+
+def with_effect(state: State, effect: Effect, found: Score) -> State:
+    """The model with a candidate, flags and noise found anew, from the noise that its score was found with."""
+    return state.with_active((*state.active, activate(state, effect, found)), noise_with(state, found))
+
+
+def with_flags(state: State) -> State:
+    """The same effects, rows flagged anew."""
+    return state.with_active(state.active)

@@ -1,0 +1,307 @@
+"""What remains, traced: to each joint as an error of its own, to every column measured, and to the order of time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import chdtrc, ndtr
+
+from aridcal.engine.corrections.loads import covariate_table
+from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.normal_equations import TINY
+from aridcal.engine.fit.problem import problem, scaled
+from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.noise_tests import rms_of_channels
+from aridcal.system.progress import SILENT, Progress
+
+SLICE, MOST_SLICES = 20, 48
+"""Rows of a slice at the least, for its mean to be known to a fifth of the scatter; slices at the most, to be drawn."""
+
+FEW_VALUES = 12
+"""A column with no more different values has one slice for each: they are settings, not readings."""
+
+CURVE = 120
+"""Points of a smooth curve."""
+
+LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+"""Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
+
+LAGS = 30
+"""Rows apart at the most for which a correlation is shown."""
+
+FAINT = 0.05
+"""Rows at which a motion moves the target by less than this share of the median lever say nothing of it."""
+
+VARIES = 1e-3
+"""Share of its size by which a covariate must vary for anything to depend on it."""
+
+BAND = 1.96
+"""Standard deviations within which 95 % of chance lies."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """What rows ask for with one model, and how it runs over a covariate.
+
+    Attributes:
+        rows: What each row asks for, shape (n,), [m] or [rad].
+        mean: Mean of each slice, shape (B,).
+        smooth: A smooth curve through the means, shape (G,).
+        size: RMS of the means beyond their noise.
+        p_value: That slices of noise would differ from zero as much.
+    """
+
+    rows: np.ndarray
+    mean: np.ndarray
+    smooth: np.ndarray
+    size: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
+
+    Attributes:
+        motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
+        unit: ``m`` or ``rad``.
+        covariate: A joint, a measured column, or a load.
+        seen: Covariate of the rows that say something of this motion, in order, shape (n,).
+        centre: Covariate of slices of these rows, shape (B,).
+        std: Standard deviation that noise gives the means of these, shape (B,).
+        at: Where the smooth curves through the means were evaluated, shape (G,).
+        before: Without effects.
+        after: With the final model.
+    """
+
+    motion: str
+    unit: str
+    covariate: str
+    seen: np.ndarray
+    centre: np.ndarray
+    std: np.ndarray
+    at: np.ndarray
+    before: Course
+    after: Course
+
+
+@dataclass(frozen=True)
+class Order:
+    """The final model's residuals one after the other.
+
+    Attributes:
+        timed: True if the order is that of a column ``time``, False if it is that of the table.
+        lags: Rows apart, shape (L,).
+        correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
+        bound: What 95 % of such correlations stay within if all is noise.
+        changes: Changes of sign from one row to the next, all axes together.
+        expected: As many as noise makes.
+        spread: Standard deviation of that number.
+        p_value: That noise makes so few.
+    """
+
+    timed: bool
+    lags: np.ndarray
+    correlation: np.ndarray
+    bound: float
+    changes: int
+    expected: float
+    spread: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Traces:
+    """What remains, asked on what it depends.
+
+    Attributes:
+        joints: Each joint's own motion over its own position.
+        strongest: For each joint, load and column: the motion that depends on it most clearly.
+        asked: Number of pairs of a motion and a covariate that these were chosen from.
+        order: In the order of time.
+    """
+
+    joints: tuple[Trace, ...]
+    strongest: tuple[Trace, ...]
+    asked: int
+    order: Order
+
+
+@dataclass(frozen=True)
+class _Pulled:
+    """Residuals as a motion that each row asks for by itself; ``weight`` is 1 / variance that the noise makes of it."""
+
+    motion: str
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    weight: np.ndarray
+
+
+def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progress: Progress = SILENT) -> Traces:
+    """Trace residuals to joints, columns and time.
+
+    Args:
+        fit: The final model.
+        rows: The N rows in use.
+        before: Residuals of the model without effects, shape (N, m), [m] and [rad].
+        after: Residuals of the final model.
+        progress: Told how many covariates are asked about.
+    """
+    robot = fit.model.robot
+    pulled, world = _pull(fit, rows, before, after)
+    own = {p.motion: p for p in pulled}
+    measured = {name: values for name, values in rows.covariates.items() if name not in rows.origin.derived}
+    complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
+    table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
+    asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
+    return Traces(
+        joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
+        strongest=tuple(_strongest(pulled, name, asked[name]) for name in progress.over(list(asked), "covariates")),
+        asked=len(pulled) * len(asked),
+        order=_order(after, rows),
+    )
+
+
+def _varies(values: np.ndarray) -> bool:
+    return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
+
+
+def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pulled], np.ndarray]:
+    r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel; and the rows' base frames.
+
+    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
+    :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
+    """
+    robot = fit.model.robot
+    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
+    was, left = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
+    # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
+    sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
+    J = moved_by(asked, theta, len(robot.joints)) / sigma[:, None]
+    pulled = []
+    for k, joint in enumerate(robot.joints):
+        lever = np.sum(J[:, :, k] ** 2, axis=1)
+        weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
+        if weight.any():
+            ago, now = (np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left))
+            pulled.append(_Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", ago, now, weight))
+    axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
+    for k, (axis, unit) in enumerate(axes):
+        own = ~np.isnan(after[:, k])
+        weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
+        pulled.append(_Pulled(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
+    return pulled, asked.rows.world
+
+
+def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
+    """The motion of which noise would least likely show as much."""
+    chances, sliced = [], {}
+    for p in pulled:
+        own = (p.weight > 0).tobytes()
+        if own not in sliced:  # of all motions together there are few sets of rows
+            sliced[own] = _sliced(p, values)
+        chances.append(_chance(_means(p, values, p.after, sliced[own])))
+    return _trace(pulled[int(np.argmin(chances))], covariate, values)
+
+
+def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
+    """A motion over a covariate, before and after."""
+    seen = pulled.weight > 0
+    sliced = _sliced(pulled, values)
+    before, after = (_means(pulled, values, asks, sliced) for asks in (pulled.before, pulled.after))
+    at = np.linspace(after.centre[0], after.centre[-1], CURVE)
+
+    def course(asks: np.ndarray, means: _Means) -> Course:
+        return Course(asks[seen], means.mean, _smooth(means, at), _size(means), _chance(means))
+
+    was, left = course(pulled.before, before), course(pulled.after, after)
+    return Trace(pulled.motion, pulled.unit, covariate, values[seen], after.centre, after.std, at, was, left)
+
+
+@dataclass(frozen=True)
+class _Means:
+    """Slices of rows: mean covariate, weighted mean of what the rows ask for, and the noise of that; shape (B,) each."""
+
+    centre: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray
+
+
+def _sliced(pulled: _Pulled, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows that say something of a motion, in the order of a covariate, shape (n,), and the slice of each: see :func:`_means`."""
+    seen = np.flatnonzero(pulled.weight > 0)
+    seen = seen[np.argsort(values[seen], kind="stable")]
+    different, place = np.unique(values[seen], return_inverse=True)
+    if len(different) > FEW_VALUES:
+        place = np.arange(len(seen)) * int(np.clip(len(seen) // SLICE, 1, MOST_SLICES)) // len(seen)
+    return seen, place
+
+
+def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]) -> _Means:
+    """Slices of equally many rows; of a column with few values, one slice for each."""
+    seen, place = sliced
+    weight = pulled.weight[seen]
+    total = np.bincount(place, weight)
+    centre, mean = (np.bincount(place, weight * v[seen]) / total for v in (values, asks))
+    return _Means(centre, mean, 1.0 / np.sqrt(total))
+
+
+def _chance(m: _Means) -> float:
+    """That noise alone makes such means."""
+    return float(chdtrc(len(m.mean), np.sum((m.mean / m.std) ** 2)))
+
+
+def _size(m: _Means) -> float:
+    """RMS of the means beyond what noise makes of them."""
+    weight = 1.0 / m.std**2
+    return float(np.sqrt(max(weight @ m.mean**2 - len(weight), 0.0) / weight.sum()))
+
+
+def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
+    """The likeliest smooth function through the means (Gaussian process, Matern 5/2); zero where they are noise."""
+    variance = _size(m) ** 2
+    span = float(np.ptp(m.centre))
+    if variance == 0.0 or span == 0.0:
+        return np.zeros(len(at))
+
+    def kernel(x: np.ndarray, length: float) -> np.ndarray:
+        d = np.sqrt(5.0) * np.abs(x[:, None] - m.centre) / (length * span)
+        return np.asarray(variance * (1.0 + d + d**2 / 3.0) * np.exp(-d))
+
+    best, curve = -np.inf, np.zeros(len(at))
+    for length in LENGTHS:
+        K = kernel(m.centre, length) + np.diag(m.std**2)
+        pull = np.linalg.solve(K, m.mean)
+        likelihood = -0.5 * float(m.mean @ pull + np.linalg.slogdet(K)[1])
+        if likelihood > best:
+            best, curve = likelihood, kernel(at, length) @ pull
+    return curve
+
+
+def _order(residual: np.ndarray, rows: Dataset) -> Order:
+    """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
+    # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
+    series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]
+    series = [r for r in series if len(r) > 1]
+    lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]
+    correlation = np.array([np.mean([r[k:] @ r[:-k] / max(float(r @ r), 1e-300) for r in series]) for k in lags])
+    changes = sum(int(np.sum(np.diff(np.sign(r)) != 0)) for r in series)
+    pairs, numbers = sum(len(r) - 1 for r in series), sum(len(r) for r in series)
+    expected, deviation = pairs / 2, float(np.sqrt(pairs) / 2)
+    return Order(
+        timed=bool(np.isfinite(rows.covariates.get("time", np.nan)).all()),
+        lags=lags,
+        correlation=correlation,
+        bound=BAND / np.sqrt(max(numbers, 1)),
+        changes=changes,
+        expected=expected,
+        spread=deviation,
+        p_value=float(ndtr((changes - expected) / max(deviation, 1e-12))),
+    )

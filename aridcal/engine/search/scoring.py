@@ -1,0 +1,404 @@
+"""Every candidate scored at once against the model as it is, and the best of them tried on rows held back.
+
+The tests that a candidate must pass, one after the other, are those of docs/how-the-search-works.md: evidence corrected for
+the number of candidates, squared error on rows held back, and a test that stands up to rows that err together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.special import fdtrc, ndtr
+
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.regional_kind import is_local, spread_out
+from aridcal.engine.corrections.sights import is_sight
+from aridcal.engine.fit.normal_equations import (
+    TINY,
+    NormalEquations,
+    accumulate,
+    added,
+    conditional,
+    inverse,
+    last_log_determinant,
+    nested_solutions,
+)
+from aridcal.engine.search.change_points import walk_instead
+from aridcal.engine.search.evidence import (
+    SMOOTH_PRICE,
+    Score,
+    price,
+    shaped,
+    smooth_tail,
+    solve,
+    tail,
+    with_noise,
+)
+from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.screening import score_all
+from aridcal.engine.search.sets import Choices
+from aridcal.engine.search.state import State, activate, by_fold, with_candidate, with_columns
+
+ALPHA = 3e-4
+"""Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
+
+SIBLING = 1e-2
+"""Chance of a candidate where several others of its family are in the model: that one more gear errs is no surprise then."""
+
+LEAST = 1e-2
+"""Share of the squared error, on rows held back, that an effect must take away to matter: 0.5 % of the error."""
+
+ROBUST = 1e-3
+"""Chance of one candidate when rows may err together; it has stood out among all candidates before this is asked."""
+
+DOUBT = 0.05
+"""The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
+opinion, so the usual 5 %."""
+
+PARTS = 5
+"""Parts into which stretches of time are put to hold them back, as many as folds."""
+
+REGIONS = 10
+"""Regions that are held back whole, one after the other: nine tenths of the rows stay to fit with."""
+
+EXACTLY = 50
+"""Losses up to which chance of their signed ranks is counted out; more are normal to a tenth of the chance, as SciPy has it."""
+
+SHAPINGS = 4
+"""Times that shape and noise of a smooth function are found in turn, at the most."""
+
+SHAPED = 0.02
+"""Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found anew."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How a candidate fared: accepted, or why not.
+
+    Attributes:
+        effect: The candidate.
+        score: Its evidence.
+        p_value: Corrected for the number of candidates.
+        gain_held_back: Share of the squared error that it takes off rows held back.
+        why: Why it was refused; empty if it was accepted.
+    """
+
+    effect: Effect
+    score: Score
+    p_value: float
+    gain_held_back: float
+    why: str
+
+
+def refine(state: State, effect: Effect, rough: Score) -> Score:
+    """The same score with the noise of each channel estimated apart, with the candidate in."""
+    question = effect, rough.gain, rough.tau, rough.kernel
+    return state.once(question, lambda: _refined(state, effect, rough))
+
+
+def score_of(state: State, effect: Effect) -> Score:
+    """Evidence for one candidate, the noise of each channel estimated with it in."""
+    return refine(state, effect, score_all(state.model, [effect], state)[0])
+
+
+def _refined(state: State, effect: Effect, rough: Score) -> Score:
+    if effect.smooth:
+        return _reshaped(state, effect, rough)
+    if rough.freedom == 0:  # declared, though the model can do all that it does
+        return rough
+    candidate = activate(state, effect, rough)
+    equations, precision = with_candidate(state, candidate)
+    sigma, likelihood = _noise_with(state, equations, precision)
+    twice = 2.0 * (likelihood - state.solution.likelihood)
+    return replace(rough, gain=price(twice, rough.freedom), p_value=tail(twice, rough.freedom), sigma=sigma)
+
+
+def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray) -> tuple[np.ndarray, float]:
+    """Noise of each channel with a candidate's columns in the model, shape (C,), and the log-likelihood."""
+    before = state.solution
+    beta, spent = added(equations, precision, before.inverse, before.spent, before.sigma)
+    sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
+    if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
+        return sigma, likelihood
+    after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
+    return after.sigma, after.likelihood
+
+
+def _reshaped(state: State, effect: Effect, rough: Score) -> Score:
+    """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
+    total, found = with_columns(state, effect), rough
+    for _ in range(SHAPINGS):
+        candidate = activate(state, effect, found)
+        equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
+        sigma, likelihood = _noise_with(state, equations, precision)
+        if found.sigma is not None and abs(np.log(found.sigma[0] / sigma[0])) < SHAPED:
+            break
+        found = shaped(total, state.precision, effect.shape, sigma)
+    # The volume of what its modes may still be counts against it: the marginal likelihood's determinant.
+    volume = -last_log_determinant(equations.information(sigma) + precision, len(state.precision))
+    twice = 2.0 * (likelihood - state.solution.likelihood) + volume
+    return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
+
+
+def judge(state: State, effect: Effect, found: Score, choices: Choices) -> Judgement:
+    """Accept a candidate, or say why not.
+
+    Args:
+        state: The model without it.
+        effect: The candidate.
+        found: Its evidence.
+        choices: Candidates among which it stood out. Where several of its family are in the model, it stood out among the
+            others of that family alone.
+    """
+    siblings = choices.siblings(state.active, effect)
+    chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
+    tested += effect.looked if effect.hinted else 0
+    model = state.model
+    if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
+        places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
+        tested += len(state.fold) * len(places)
+    p_value = min(1.0, found.p_value * tested)
+
+    def judgement(gain: float, why: str) -> Judgement:
+        return Judgement(effect, found, p_value, gain, why)
+
+    if found.gain <= 0.0 or p_value > chance:
+        return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
+    candidate = activate(state, effect, found)
+    loss = held_back_folds(state, candidate).sum(axis=1)
+    share = float(1.0 - loss[1].sum() / loss[0].sum())
+    who = (effect.kind, effect.where, effect.at)
+    known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
+    if share < (0.0 if known or siblings else LEAST):
+        percent = 100 * max(share, 0.0)
+        return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
+    if model.thing is not None and _at_several(model, effect):
+        whole = held_back(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
+        if whole[1] > whole[0]:
+            return judgement(share, "does not hold at places that were held back whole")
+    if held_out_whole(state, candidate) <= 0.0:
+        return judgement(share, "does not hold in regions that were held back whole")
+    configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
+    if effect.smooth and not effect.hinted and not is_local(effect):
+        robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
+    else:
+        along = _fitted(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
+        robust, least = effect.looked * _robust(state, effect, along, configuration), DOUBT if siblings else ROBUST
+    if robust > least:
+        return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
+    if not set(sources(effect)) <= set(model.own):
+        robust = _over_time(state, candidate)
+        if robust > ROBUST:
+            return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
+    if effect.at is not None:
+        robust = walk_instead(model, state, candidate)
+        if robust > DOUBT:
+            return judgement(share, f"looks like a slow change, not like a step (p = {robust:.2g})")
+    return judgement(share, "")
+
+
+def held_out_whole(state: State, candidate: Active) -> float:
+    """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
+
+    A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
+    single labels deviate by, says nothing but where its rows are.
+    """
+    effect = candidate.effect
+    if not KINDS[effect.kind].asked or is_local(effect):
+        return 1.0
+    places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
+    middles, _ = spread_out(places, REGIONS)
+    part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
+    without, with_it = held_back(state, candidate, part).sum(axis=(1, 2))
+    return float(1.0 - with_it / without)
+
+
+def _at_several(model: LinearModel, effect: Effect) -> bool:
+    """False for what is seen at one place alone: what happened while that was measured, and what is wrong with it."""
+    assert model.thing is not None
+    there = np.any(model.columns(effect), axis=(1, 2))
+    return effect.at is None and len(np.unique(model.thing[there])) > 1
+
+
+def _fitted(state: State, candidate: Active) -> np.ndarray:
+    """A smooth candidate as the one function that fits best, shape (d, 1): of a narrow map few rows know anything."""
+    total, precision = with_candidate(state, candidate)
+    beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
+    return candidate.modes @ beta[:, None]
+
+
+def sources(effect: Effect) -> list[str]:
+    """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
+    named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
+    return [name.split(".")[0] if ".gravity_" in name else name for name in named]
+
+
+def _over_time(state: State, candidate: Active) -> float:
+    """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
+    run = np.unique(state.model.run[state.used], return_inverse=True)[1]
+    if not candidate.effect.smooth:
+        return _robust(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
+    # It may have more freedom than there are stretches: whole stretches are held back instead.
+    loss = held_back(state, candidate, run % PARTS).sum(axis=1)
+    return _ranked(np.array([np.bincount(run, each) for each in loss]))
+
+
+def _ranked(loss: np.ndarray) -> float:
+    """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
+    return signed_ranks(loss[0] - loss[1])
+
+
+def signed_ranks(values: np.ndarray) -> float:
+    r"""p-value of Wilcoxon's signed ranks that values, shape (n,), are no larger than zero.
+
+    Of few values all :math:`2^{n'}` ways to give signs to the ranks are counted. Of many, with R the sum of the ranks of positive
+    values among the n' that are not zero, and t the sizes of ties,
+
+    .. math:: z = \frac{R - n' (n' + 1) / 4}{\sqrt{n' (n' + 1) (2 n' + 1) / 24 - \sum (t^3 - t) / 48}}
+
+    is normal (Wilcoxon 1945; ties: Pratt and Gibbons, Concepts of Nonparametric Theory, Springer 1981).
+    """
+    few = len(values) <= EXACTLY
+    values = values[values != 0.0]
+    _, number, ties = np.unique(np.abs(values), return_inverse=True, return_counts=True)
+    rank = (np.cumsum(ties) - 0.5 * (ties - 1))[number]
+    if few:
+        twice = np.rint(2.0 * rank).astype(int)  # a tie has half ranks
+        ways = np.ones(1)  # of each sum of the ranks so far
+        for own in twice.tolist():
+            ways = np.pad(ways, (0, own)) + np.pad(ways, (own, 0))
+        return float(ways[twice[values > 0.0].sum() :].sum() / ways.sum())
+    n = float(len(values))
+    spread = n * (n + 1.0) * (2.0 * n + 1.0) / 24.0 - float(np.sum(ties**3.0 - ties)) / 48.0
+    above = float(rank[values > 0.0].sum()) - 0.25 * n * (n + 1.0)
+    return float(ndtr(-above / np.sqrt(max(spread, TINY))))
+
+
+def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+    """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
+
+    Args:
+        state: The model without it.
+        candidate: What is added.
+        part: Number of the part of each row in use, shape (n,).
+
+    Returns:
+        Shape (2, C, n), channel by channel.
+    """
+    total, precision = with_candidate(state, candidate)
+    sigma = _noise_with(state, total, precision)[0]
+    more = state.flat(candidate.columns(state.model))
+    design = [np.hstack([a, c]) for a, c in zip(state.design, more, strict=True)]
+    everything = np.ones(len(precision), dtype=bool)
+    kept = [np.arange(len(precision)) < len(state.precision), everything]
+    return held_back_squares(state, design, total, precision, sigma, part, kept)
+
+
+def held_back_folds(state: State, candidate: Active) -> np.ndarray:
+    r"""The same with the folds as parts, from sums that are there already, shape (2, C, n).
+
+    One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
+    """
+    made, layout = state.model.products, state.model.products.layout
+    P, sizes = len(state.precision), [channel.size for channel in state.channels]
+    precision = block_diag(state.precision, candidate.precision)
+    sigma = candidate.score.sigma
+    if sigma is None:
+        sigma = _noise_with(state, *with_candidate(state, candidate))[0]
+    H, g = by_fold(state, candidate, sigma)
+    rest, pull = H.sum(axis=0) + precision - H, g.sum(axis=0) - g
+    squares = np.zeros((2, len(sizes), len(layout.order)))
+    for k, (low, high) in enumerate(pairwise(layout.starts.tolist())):
+        beta = nested_solutions(rest[k], pull[k], P)
+        fitted = state.fitted_by_place(beta, low, high, candidate)
+        for c, (r, values, size) in enumerate(zip(made.r, fitted, sizes, strict=True)):
+            left = (r[low * size : high * size, None] - values) / sigma[c]
+            squares[:, c, low:high] = np.sum(left.reshape(high - low, size, 2) ** 2, axis=1).T
+    found = np.empty_like(squares)
+    found[:, :, layout.order] = squares
+    return np.where(state.present.T, found[:, :, state.used], 0.0)
+
+
+def held_back_squares(
+    state: State,
+    design: Sequence[np.ndarray],
+    equations: NormalEquations,
+    precision: np.ndarray,
+    sigma: np.ndarray,
+    part: np.ndarray,
+    kept: Sequence[np.ndarray],
+) -> np.ndarray:
+    """Squared error in sigmas of each row in use when the rows of its part are held back, with some of the columns each time.
+
+    Args:
+        state: Says which rows are in use, n of them.
+        design: P columns of these, one array for each channel, shape (n size, P).
+        equations: Of the same.
+        precision: Of the prior of all, shape (P, P).
+        sigma: Noise of each channel, shape (C,).
+        part: Number of the part of each row in use, shape (n,).
+        kept: Masks of the columns, shape (P,); L of them.
+
+    Returns:
+        Shape (L, C, n), channel by channel.
+    """
+    sizes = [channel.size for channel in state.channels]
+    squares = np.zeros((len(kept), len(sizes), len(part)))
+    whole, pull = equations.information(sigma) + precision, equations.pull(sigma)
+    for k in np.unique(part):
+        held = part == k
+        own = [np.flatnonzero(np.repeat(held[there], size)) for there, size in zip(state.present.T, sizes, strict=True)]
+        A = [a[rows] for a, rows in zip(design, own, strict=True)]
+        b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
+        lost = accumulate(A, b)
+        covariance = inverse(whole - lost.information(sigma))
+        solution = covariance @ (pull - lost.pull(sigma))
+        beta = np.stack([conditional(covariance, solution, ~keep) for keep in kept], axis=1)
+        for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
+            left = (values[:, None] - a @ beta) / sigma[c]
+            squares[:, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size, len(kept)) ** 2, axis=1).T
+    return squares
+
+
+def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray) -> float:
+    r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
+
+    With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
+
+    .. math:: S = \frac{g}{g - 1} \sum_{j} C_j^T e_j e_j^T C_j, \qquad
+              F = \frac{r^T C S^+ C^T r}{d} \cdot \frac{g - d}{g} \sim F_{d, g - d}
+
+    for g clusters j and d columns (Cameron and Miller 2015, doi:10.3368/jhr.50.2.317).
+
+    Args:
+        state: The model without it.
+        effect: The candidate.
+        along: What of its coefficients is tested, shape (coefficients, d).
+        cluster: Number of the cluster of each row in use, shape (n,).
+    """
+    made, sigma = state.model.products, state.solution.sigma
+    chunk, where = made.chunk_of(effect)
+    AC = np.tensordot(sigma**-2.0, state.in_use(chunk, where)[0], 1) @ along
+    fitted = state.fitted_by_place(state.solution.inverse @ AC, 0, len(made.layout.order))
+    columns_of = [x @ along - values for x, values in zip(made.flat([effect]), fitted, strict=True)]
+    C = state.whitened(state.flat(made.layout.by_row(columns_of)))
+    C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
+    r = state.whitened(state.flat(state.residual))
+    after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
+    clusters, d = int(cluster.max()) + 1, C.shape[1]
+    if d == 0 or clusters <= d + 2:
+        return 1.0
+    there = zip(state.channels, state.present.T, strict=True)
+    of_number = np.concatenate([np.repeat(cluster[own], channel.size) for channel, own in there])
+    pulls = np.zeros((clusters, d))
+    np.add.at(pulls, of_number, C * after[:, None])
+    s = C.T @ r
+    spread = pulls.T @ pulls * clusters / (clusters - 1)
+    statistic = float(s @ np.linalg.pinv(spread, hermitian=True) @ s) / d * (clusters - d) / clusters
+    return float(fdtrc(d, clusters - d, statistic))

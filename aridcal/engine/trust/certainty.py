@@ -1,0 +1,230 @@
+"""How far a calibration can be relied on: over the joints' whole range, and over the region that the campaign names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
+from aridcal.engine.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
+
+CLOUD = 8192
+"""Configurations among which those of a slice are looked for."""
+
+THICK = 0.06
+"""Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""
+
+IN_SLICE = 400
+"""Configurations of a slice: more would be dots upon dots."""
+
+PLANES = ((0, 2), (0, 1))
+"""Axes of the base frame along the slices: a view from the side, and one from above."""
+
+
+LEAST = 128
+"""Configurations, of :data:`aridcal.engine.trust.workspace.SAMPLES`, that must be like measured ones to stand for a range:
+their share that is within a tolerance is then known to 2 %."""
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Configurations that bring the target near a plane.
+
+    Attributes:
+        axes: Of the base frame, along the plane.
+        at: Where the plane is along the third axis, [m].
+        workspace: How well the target is known there.
+    """
+
+    axes: tuple[int, int]
+    at: float
+    workspace: Workspace
+
+
+@dataclass(frozen=True)
+class Certainty:
+    """How well the target is known.
+
+    Attributes:
+        anywhere: Over the whole range of the joints.
+        slices: Over the whole range, near planes through the middle of where the target was measured.
+        region: Over the region that the campaign names, or the whole range seen.
+        title: What that region is, in words.
+        tool: The point on the target that the region is of, in the target's axes, [m].
+        kept: What it keeps within: of the position, and of the rotation where that was measured; none where no row tells.
+        untold: Combinations of constants that no reading tells, and that move the target.
+    """
+
+    anywhere: Workspace
+    slices: tuple[Slice, ...]
+    region: Workspace
+    title: str
+    tool: tuple[float, float, float]
+    kept: tuple[Kept, ...]
+    untold: tuple[Untold, ...]
+
+    @property
+    def within(self) -> bool:
+        """False where a tolerance was given, and is not kept."""
+        return all(part.within is not False for part in self.kept)
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the target is to be known for.
+
+    Attributes:
+        tool: A point that moves with the target, in its axes, [m].
+        tolerance: How far it may be off in 95 % of the region, [m], and turned, [rad]; None where nobody says.
+        title: The region in words.
+    """
+
+    tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tolerance: tuple[float | None, float | None] = (None, None)
+    title: str = ""
+
+
+def certainty(
+    wanted: Wanted,
+    fit: Fit,
+    rows: Dataset,
+    candidates: Sequence[Coefficient],
+    where: np.ndarray | None,
+    outlier: np.ndarray,
+    residual: np.ndarray,
+    repeats: Repeats | None,
+) -> Certainty:
+    """Say how well the target is known.
+
+    Args:
+        wanted: Of which point, and how well.
+        fit: The final model.
+        rows: All N rows.
+        candidates: Constants that were asked for.
+        where: Readings of the region, shape (R, columns), [rad] or [m]; None where the campaign names none.
+        outlier: Flagged rows, shape (N,) bool.
+        residual: What it leaves of all rows, shape (N, m).
+        repeats: Scatter of rows that repeat a configuration, where there are any.
+    """
+    train = rows.fitted
+    known = knowledge(fit, train, candidates)
+    tool = wanted.tool
+    everywhere = spread_out(*ends(train, fit.model.robot.limits))
+    anywhere = known.over(train, everywhere, _like(train, everywhere))
+    title = wanted.title
+    if where is None:
+        region, title = _seen(known, train, tool)
+    else:
+        region = known.over(train, where, _like(train, where), tool)
+    found, noise = [], instrument_noise(fit, rows, repeats)
+    moves = known.columns(region.rows, np.asarray(tool, dtype=float))[1:]
+    judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
+    for turn, of in enumerate(("position", "rotation")):
+        tolerance = wanted.tolerance[turn]
+        seen = rows.sees_turns or not turn
+        left = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if seen else None
+        answer = kept(known, region, moves, left, tolerance, bool(turn))
+        if answer is not None:
+            found.append(answer)
+        elif tolerance is not None:
+            found.append(unjudged(of, tolerance))
+    slices = _slices(known, train)
+    if any(tool):
+        title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"
+    return Certainty(anywhere, slices, region, title, tool, tuple(found), known.untold(anywhere.rows, train.sees_turns))
+
+
+def _like(train: Dataset, readings: np.ndarray) -> np.ndarray:
+    """Rows that configurations are like in all but their joints, drawn from those that were fitted."""
+    return np.random.default_rng(0).integers(0, len(train), len(readings))
+
+
+def _seen(known: Knowledge, train: Dataset, tool: Sequence[float]) -> tuple[Workspace, str]:
+    """The region where none is named, and its title: what was measured of the box of all ranges seen.
+
+    Where that is next to nothing, as with a ball in three sockets, the configurations that were measured are all there is.
+    """
+    readings = spread_out(train.readings.min(axis=0), train.readings.max(axis=0))
+    box = known.over(train, readings, _like(train, readings), tool)
+    if box.measured.sum() >= LEAST:
+        return box.select(box.measured), "the range that was measured"
+    rows = np.unique(np.linspace(0, len(train) - 1, LEAST).round().astype(int))
+    return known.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
+
+
+def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
+    """Slices of all that the joints reach."""
+    readings = spread_out(*ends(train, known.fit.model.robot.limits), CLOUD)
+    like = _like(train, readings)
+    cloud = known.places(train, readings, like)
+    middle = np.median(known.places(train, train.readings, np.arange(len(train))), axis=0)
+    thick = THICK * float(np.ptp(cloud, axis=0).max())
+    found = []
+    for axes in PLANES:
+        across = 3 - sum(axes)
+        near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:IN_SLICE]
+        if len(near):
+            found.append(Slice(axes, float(middle[across]), known.over(train, readings[near], like[near])))
+    return tuple(found)
+
+
+def as_document(known: Certainty) -> dict[str, Any]:
+    """How well the target is known over the joints' whole range and over the region, and what that keeps within."""
+    found: dict[str, Any] = {
+        "whole_range": _spread(known.anywhere),
+        "region": {"of": known.title, **_spread(known.region)},
+    }
+    for part in known.kept:
+        unit = "mrad" if part.of == "rotation" else "mm"
+        found["region"][part.of] = {
+            f"bound_{unit}": 1e3 * part.bound,
+            f"calibration_rms_{unit}": 1e3 * part.calibration,
+            f"beyond_rms_{unit}": 1e3 * part.beyond,
+            **({} if part.tolerance is None else _judged(part, unit)),
+            "remarks": list(part.remarks),
+        }
+    return found
+
+
+def _judged(part: Kept, unit: str) -> dict[str, Any]:
+    """Whether a tolerance is kept."""
+    return {
+        f"tolerance_{unit}": 1e3 * (part.tolerance or 0.0),
+        "within": part.within,
+        "share": part.share,
+        "confidence": part.confidence,
+        "rows": {
+            "judging": part.judges,
+            "count": part.rows,
+            "within": part.rows_within,
+            "share_at_least": part.rows_share,
+        },
+        "reasons": list(part.reasons),
+    }
+
+
+def _spread(part: Workspace) -> dict[str, Any]:
+    """Statistics of some configurations where the target is known, 1-sigma in the worst direction."""
+    sigma = np.where(part.told, part.sigma, np.nan)
+    told = 1e3 * sigma[part.told]
+    worst = int(np.nanargmax(sigma)) if len(told) else None
+    return {
+        "configurations": len(part),
+        "measured": float(part.measured.mean()),
+        "told": float(part.told.mean()),
+        "sigma_mm": {
+            "median": float(np.median(told)) if len(told) else None,
+            "p95": float(np.percentile(told, 95)) if len(told) else None,
+            "worst": None if worst is None else 1e3 * float(sigma[worst]),
+        },
+        "worst_at": None
+        if worst is None
+        else {"xyz": part.places[worst].tolist(), "direction": part.way[worst].tolist()},
+    }

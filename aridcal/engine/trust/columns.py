@@ -1,0 +1,163 @@
+r"""A fit's rows as one linear problem: what they leave and what takes it off, in sigmas, things solved for on demand.
+
+For whitened residuals r, columns J of the K coefficients and columns B of the unknowns of the rows' things (see
+:mod:`aridcal.engine.fit.elimination`), with what is known of those beforehand as further rows T of unit noise, the sums over
+some rows are
+
+.. math:: H = J^T J - C^T H_B^{-1} C, \qquad g = J^T r - C^T H_B^{-1} b, \qquad
+          H_B = B^T B + T^T T, \quad C = B^T J, \quad b = B^T r + T^T t
+
+All that halves, folds and single rows ask of a fit follows from these without another look at the robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.engine.fit.elimination import Eliminated, Groups, Known, Sums, solved
+from aridcal.engine.fit.least_squares import Fit, thin
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.instruments.channels import Channels, spread
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.system.progress import SILENT, Progress
+
+NUMBERS = 10_000_000
+"""Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
+
+
+@dataclass(frozen=True)
+class Columns:
+    """N rows of m numbers about the solution of a fit, divided by their noise; rows without weight are left out.
+
+    Attributes:
+        rows: Which of the fitted rows these are, shape (N,).
+        channels: Of the numbers.
+        r: Residuals in sigmas, shape (N, m); 0 where a row does not measure a channel.
+        J: What each coefficient takes off them, shape (N, m, K).
+        B: What the unknowns of the row's group take off them, shape (N, m, U); U is 0 without things.
+        there: Numbers that were measured, shape (N, m) bool.
+        group: Of each row, shape (N,); -1 for none.
+        groups: All groups; None where nothing of things is unknown.
+        known: What is known of them beforehand.
+        share: Of a measurement that each row counts for.
+        target: How the predicted target moves with each coefficient, shape (N, 3, K), [m] per unit.
+    """
+
+    rows: np.ndarray
+    channels: Channels
+    r: np.ndarray
+    J: np.ndarray
+    B: np.ndarray
+    there: np.ndarray
+    group: np.ndarray
+    groups: Groups | None
+    known: Known
+    share: float
+    target: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.r)
+
+    def solved(self, some: np.ndarray | slice = slice(None)) -> Eliminated:
+        """The things solved from some of the rows alone."""
+        count, channels = self.J.shape[2], len(self.channels)
+        many, width = (0, 0) if self.groups is None else self.groups.unknown.shape
+        sums = Sums(
+            np.zeros((channels, many, width, width)),
+            np.zeros((channels, many, width, count)),
+            np.zeros((channels, many, width)),
+        )
+        if self.groups is None:
+            empty = np.zeros((0, 0, 0))
+            return Eliminated(np.zeros((0, 0, count)), np.zeros((0, 0)), empty, 0.0, np.zeros(0))
+        sums.add(self.group[some], self.B[some], self.J[some], self.r[some], self.channels)
+        return solved(sums, self.groups, self.known, np.ones(channels))
+
+    def equations(self, things: Eliminated, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """H (K, K) and g (K,) of some of the rows, their things solved for as :meth:`solved` has it for the same rows."""
+        J, group = self.J[some], self.group[some]
+        left, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
+        own = J
+        if self.groups is not None:
+            own = J.copy()
+            of_things = group >= 0
+            own[of_things] -= self.B[some][of_things] @ things.X[group[of_things]]
+        flat = J.reshape(-1, J.shape[2])
+        return flat.T @ own.reshape(flat.shape), flat.T @ left.ravel()
+
+    def less(
+        self, values: np.ndarray, known: np.ndarray, things: Eliminated, some: np.ndarray | slice = slice(None)
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of some rows, (n, m, d), and of what is known beforehand, (T, d), less what the things take up of them.
+
+        They are residuals in sigmas, or other right-hand sides of the same rows.
+        """
+        if self.groups is None:
+            return values, known
+        group, B = self.group[some], self.B[some]
+        own = group >= 0
+        pull = np.zeros((len(things.inverse), B.shape[2], values.shape[2]))
+        np.add.at(pull, group[own], B[own].transpose(0, 2, 1) @ values[own])
+        np.add.at(pull, self.known.group, self.known.by[:, :, None] * known[:, None, :])
+        y = things.inverse @ pull
+        left = values.copy()
+        left[own] -= B[own] @ y[group[own]]
+        return left, known - np.einsum("tu,tud->td", self.known.by, y[self.known.group])
+
+
+def _asked(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
+    """Numbers of the rows that are linearised, and what is asked of them: bases of rows that are not would take much memory."""
+    model = fit.model.with_coefficients(()) if data.direct else fit.model
+    every = problem(model, data, progress)  # where things are between, all rows tell of these
+    chosen = thin(every.rows, most, every.groups)
+    chosen = chosen[fit.weight[chosen] > 0.0]
+    some = every if len(chosen) == len(every) else every.select(chosen)
+    return chosen, (problem(fit.model, some.data, progress) if data.direct else some).agreeing(fit.theta)
+
+
+def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: Progress = SILENT) -> Columns:
+    """Linearise a fit about its solution.
+
+    Args:
+        fit: K coefficients.
+        data: The rows that it was fitted to.
+        sigma: Noise that whitens each channel, shape (C,).
+        most: Rows at the most: of more, a reproducible choice.
+        progress: Told how far the pass over them is.
+    """
+    wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
+    chosen, asked = _asked(fit, data, min(most, NUMBERS // wide), progress)
+    per = 1.0 / spread(sigma, asked.channels)
+    root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
+    shape, count = root.shape, len(fit.theta)
+    # Row by row in memory, for rows are what is picked out of them.
+    r, J, B = np.empty(shape), np.empty((*shape, count)), np.empty((*shape, 0))
+    target = np.empty((len(chosen), 3, count))
+    if asked.groups is not None:
+        B = np.empty((*shape, asked.groups.unknown.shape[1]))
+    for block in asked.blocks():
+        piece = asked.pieces(fit.theta, block)
+        r[block] = np.nan_to_num(piece.r) * root[block]
+        for into, columns in ((J, piece.J), (B, piece.B)):
+            np.multiply(columns, root[block, :, None], out=into[block])
+        if asked.measured.direct and data.relative is None:
+            target[block] = piece.J[:, :3]  # the target's own position is what rows measure first
+        else:
+            target[block] = fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3]
+    there = ~asked.measured.absent
+    nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
+    return Columns(
+        rows=chosen,
+        channels=asked.channels,
+        r=r,
+        J=J,
+        B=B,
+        there=there,
+        group=asked.group_of(slice(None)),
+        groups=asked.groups,
+        known=asked.beforehand() or nothing,
+        share=data.repeats.share,
+        target=target,
+    )

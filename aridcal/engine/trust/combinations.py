@@ -1,0 +1,186 @@
+r"""What rows tell of an arm's constants: combinations from the best known to the worst, and those that could be left nominal.
+
+Two constants may each be known badly and their sum well: a covariance says more than its diagonal. Its eigenvectors, a metre
+counting as a radian, are the combinations that these rows tell independently of each other.
+Frames of base and target are free throughout: they take their part of what is confounded with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import ANGULAR
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.columns import columns_of
+from aridcal.system.progress import SILENT, Progress
+
+CARRIES = 0.3
+"""Share of a combination's largest part from which another part is named in it: less changes its square by a tenth."""
+
+MOST_PARTS = 4
+"""Parts of a combination that are named; no one can picture more."""
+
+TOGETHER = 3.0
+"""Times that a sum is known better than the difference, or the other way round, from which a pair is worth a sentence: the two
+are then correlated by 0.8."""
+
+SPARED = 2.0
+"""Squares, in sigmas, that fixing one more constant at nominal may cost: its own variance, 1, is gained, and a constant that
+is really nominal costs 1 on average (Akaike 1973; Mallows' C_p)."""
+
+ROWS = 300
+"""Rows over which the shift of the target is averaged."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combination of constants that the rows tell apart from all others.
+
+    Attributes:
+        parts: Names with their shares, the largest first and positive; squares of all, also of those not named, sum to 1.
+        unit: Of all parts, ``m`` or ``rad``; empty where there are both, a metre counting as a radian.
+        std: 1-sigma, in that unit.
+    """
+
+    parts: tuple[tuple[str, float], ...]
+    unit: str
+    std: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two constants of one unit of which the rows know the sum and the difference unequally well.
+
+    Attributes:
+        first: Name.
+        second: Name.
+        unit: ``m`` or ``rad``.
+        of_sum: 1-sigma of the sum.
+        of_difference: 1-sigma of the difference.
+    """
+
+    first: str
+    second: str
+    unit: str
+    of_sum: float
+    of_difference: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times the one is known better than the other."""
+        return max(self.of_sum, self.of_difference) / min(self.of_sum, self.of_difference)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What rows tell of the constants.
+
+    Attributes:
+        names: Identifiable constants, K' of them: a set of which none can be left out but by knowing it.
+        combinations: Of them, the best known first.
+        pairs: Those worth a sentence, the most unequal first.
+        spare: Constants that could stay nominal together: these rows cannot tell them from it.
+        needed: The others, without which the rows are predicted worse.
+        shift: RMS by which the target moves if the spare ones stay nominal and the rest follow, [m].
+        sigma: RMS 1-sigma of the target before, all three axes, [m].
+    """
+
+    names: tuple[str, ...]
+    combinations: tuple[Combination, ...]
+    pairs: tuple[Pair, ...]
+    spare: tuple[str, ...]
+    needed: tuple[str, ...]
+    shift: float
+    sigma: float
+
+
+def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None:
+    """Ask what rows tell of the arm's constants; None of a fit without any.
+
+    Args:
+        fit: A stage without effects.
+        train: The rows that it was fitted to.
+        progress: Told how far the pass over them is.
+    """
+    of_arm = [c.basis.constant and c.where in _places(fit) for c in fit.model.coefficients]
+    own = np.flatnonzero(of_arm)
+    if len(own) == 0:
+        return None
+    names = [fit.model.names[k] for k in own]
+    units = ["rad" if fit.model.coefficients[k].component in ANGULAR else "m" for k in own]
+    covariance = fit.covariance[np.ix_(own, own)]
+    spare, moved = _spare(fit, own)
+    rows = columns_of(fit, train, fit.sigma, ROWS, progress)
+    J = rows.target.reshape(-1, len(fit.theta))
+    variance = float(np.sum((J @ fit.covariance) * J)) / len(rows)
+    return Known(
+        names=tuple(names),
+        combinations=_combinations(names, units, covariance),
+        pairs=_pairs(names, units, covariance),
+        spare=tuple(fit.model.names[k] for k in spare),
+        needed=tuple(fit.model.names[k] for k in own if k not in spare),
+        shift=float(np.sqrt(np.sum((J @ moved) ** 2) / len(rows))),
+        sigma=float(np.sqrt(max(variance, 0.0))),
+    )
+
+
+def _places(fit: Fit) -> set[str]:
+    """Where the constants of an arm act: its joints and the tip's fixed joint."""
+    robot = fit.model.robot
+    return {*robot.names, *([robot.tip_joint] if robot.tip_joint else [])}
+
+
+def _combinations(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[Combination, ...]:
+    """Eigenvectors of a covariance (K', K') in words, the smallest variance first."""
+    values, vectors = np.linalg.eigh(covariance)
+    found = []
+    for value, vector in zip(values.tolist(), vectors.T, strict=True):
+        largest_first = np.argsort(-np.abs(vector), kind="stable")
+        vector = vector * np.sign(vector[largest_first[0]])
+        parts = [k for k in largest_first.tolist() if abs(vector[k]) >= CARRIES * vector[largest_first[0]]][:MOST_PARTS]
+        shared = {units[k] for k in parts}
+        unit = shared.pop() if len(shared) == 1 else ""
+        found.append(
+            Combination(tuple((names[k], float(vector[k])) for k in parts), unit, float(np.sqrt(max(value, 0.0))))
+        )
+    return tuple(found)
+
+
+def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[Pair, ...]:
+    """Pairs of one unit whose sum and difference are known unequally well."""
+    found = []
+    for i in range(len(names)):
+        for j in range(i + 1, len(names)):
+            if units[i] != units[j]:
+                continue
+            both, cross = covariance[i, i] + covariance[j, j], 2.0 * covariance[i, j]
+            if both - abs(cross) <= 0.0:
+                continue  # one of the two is known to rounding
+            pair = Pair(names[i], names[j], units[i], float(np.sqrt(both + cross)), float(np.sqrt(both - cross)))
+            if pair.ratio >= TOGETHER:
+                found.append(pair)
+    return tuple(sorted(found, key=lambda pair: -pair.ratio))
+
+
+def _spare(fit: Fit, own: np.ndarray) -> tuple[list[int], np.ndarray]:
+    """Constants that may stay nominal together, found one by one, and how all coefficients then change, shape (K,).
+
+    Taking out k of those that are left costs theta_k^2 / Sigma_kk squares, in sigmas, all others following.
+    """
+    theta, covariance = fit.theta.copy(), fit.covariance.copy()
+    left, spare = own.tolist(), []
+    while left:
+        variance = np.diag(covariance)[left]
+        cost = np.where(variance > 0.0, theta[left] ** 2 / np.where(variance > 0.0, variance, 1.0), np.inf)
+        least = int(np.argmin(cost))
+        if cost[least] >= SPARED:
+            break
+        k = left.pop(least)
+        spare.append(k)
+        share = covariance[:, k] / covariance[k, k]
+        theta -= share * theta[k]
+        covariance -= np.outer(share, covariance[k])
+    return spare, theta - fit.theta

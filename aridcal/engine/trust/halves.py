@@ -1,0 +1,391 @@
+r"""Model error apart from noise: halves of the rows that differ in a block, fitted apart and compared.
+
+Noise is independent from row to row; what a model lacks is not: it depends on a joint, on time, on a load. Rows are therefore
+divided by blocks (low and high readings of a joint, its middle and its ends, its alternate quarters; the same in time; the
+side of approach, a load), every coefficient that both halves tell is fitted to each half apart, and the two are compared:
+
+.. math:: T^2 = (\theta_A - \theta_B)^T (\Sigma_A + \Sigma_B)^+ (\theta_A - \theta_B) = S_{AB} - S_A - S_B, \qquad
+          F = \frac{T^2 / d}{(S_A + S_B) / (n - k - d)}
+
+with the squares S that fits to both, and to each half, leave, and d the rank of the difference (Chow 1960, doi:10.2307/1910133).
+What no row tells has no part in it: the difference is taken in the identifiable subspace. Things that instruments refer to
+(points, anchors, boards) and samples of smooth functions are common to both halves: they are no halves' own. F needs no
+noise to be known.
+
+Many divisions are looked at, and the one that shows most is named. What chance makes of the best of so many is not a guess:
+the same rows are given noise instead of residuals, :data:`DRAWS` times, and all is done again (Monte Carlo test; Dwass
+1957, doi:10.1214/aoms/1177707045). So the p-value is uniform where nothing is missing, however the divisions hang together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.loads import covariate_table
+from aridcal.engine.fit.elimination import Eliminated
+from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.normal_equations import across, pseudo_inverse, root_of_inverse
+from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.rows.split import held_together
+from aridcal.engine.trust.columns import Columns, columns_of
+from aridcal.system.progress import SILENT, Progress
+
+ROWS = 1000
+"""Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there are."""
+
+DRAWS = 199
+"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
+Bonferroni's."""
+
+DISAGREE = 1e-3
+"""Chance of a false alarm: of a thousand clean calibrations one is said to disagree with itself."""
+
+RANK = 1e-8
+"""Share of the largest eigenvalue, coefficients scaled alike, below which a half tells nothing of a difference: rounding of
+the sums leaves 1e-12, and a direction known 10,000 times worse than another would only dilute it."""
+
+SMALLEST = 0.2
+"""Share of the rows below which a side is no half: a few rows of it would decide."""
+
+EXACT = 10.0
+"""Times what counts as rounding: below it there is no noise that the halves could be compared with."""
+
+PATTERNS = {
+    "low and high": (0, 0, 0, 0, 1, 1, 1, 1),
+    "the middle and the ends": (0, 0, 1, 1, 1, 1, 0, 0),
+    "alternate quarters": (0, 0, 1, 1, 0, 0, 1, 1),
+    "alternate quarters from an eighth on": (0, 1, 1, 0, 0, 1, 1, 0),
+    "alternate eighths": (0, 1, 0, 1, 0, 1, 0, 1),
+}
+"""Which eighths of a column's values make a half: Walsh functions, so that one period over the range, or two, of any phase,
+differ between the halves of at least one of them."""
+
+GRAVITY = ".gravity_"
+"""In the names of gravity's loads."""
+
+
+@dataclass(frozen=True)
+class Division:
+    """Rows divided into two halves.
+
+    Attributes:
+        of: The column that divides them: a joint, a covariate, or ``row`` for the order of measurement.
+        how: One of :data:`PATTERNS`.
+        side: Rows of the second half, shape (N,) bool.
+    """
+
+    of: str
+    how: str
+    side: np.ndarray
+
+
+@dataclass(frozen=True)
+class Halves:
+    """Halves of the rows fitted apart.
+
+    Attributes:
+        p_value: Chance that noise alone makes the halves of any division differ as much.
+        of: The column of the division that differs most.
+        how: How it divides the rows.
+        squares: T^2 of that division over its freedom and over the noise seen: 1 is expected.
+        freedom: Numbers that are compared, and that are left for the noise.
+        divisions: How many were looked at.
+        rows: How many rows were compared.
+        measured: RMS difference of the two predicted targets over these rows, both frames of the one moved so that the two
+            agree best, [m].
+        expected: What noise alone makes of that where this division is the one that differs most by chance, [m].
+    """
+
+    p_value: float
+    of: str
+    how: str
+    squares: float
+    freedom: tuple[int, int]
+    divisions: int
+    rows: int
+    measured: float
+    expected: float
+
+    @property
+    def agree(self) -> bool:
+        """Whether noise explains what differs."""
+        return self.p_value >= DISAGREE
+
+
+def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | None:
+    """Fit halves of the rows apart and compare them; None where there are too few rows, or no noise, to do so.
+
+    Args:
+        fit: K coefficients.
+        train: The rows that it was fitted to.
+        progress: Told how far the pass over them is.
+    """
+    if len(fit.theta) == 0 or np.all(fit.estimated <= EXACT * FLOOR):
+        return None
+    of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
+    own = np.array([_of_half(c) for c in fit.model.coefficients])
+    rows = train.select(of_rows.rows)
+    frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
+    at_target = _at_target(of_rows.target, own, frames)
+    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows, at_target))
+    if not found:
+        return None
+    p_values = np.array([each.p_values for each in found])
+    best, least = p_values.argmin(axis=0), p_values.min(axis=0)
+    by_draws = float(np.sum(least <= least[0])) / len(least)
+    worst = found[best[0]]
+    moved = [found[k].moved[draw] for draw, k in enumerate(best)]
+    return Halves(
+        p_value=min(by_draws, len(found) * float(least[0])),
+        of=worst.division.of,
+        how=worst.division.how,
+        squares=worst.squares,
+        freedom=worst.freedom,
+        divisions=len(found),
+        rows=len(of_rows),
+        measured=float(np.sqrt(worst.usual * moved[0])),
+        expected=float(np.sqrt(worst.usual * np.mean(moved[1:]))),
+    )
+
+
+def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
+    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings."""
+    model = fit.model
+    world = rows_of_data(model, rows).world
+    table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
+    return {name: values for name, values in table.items() if GRAVITY in name}
+
+
+def _of_half(c: Coefficient) -> bool:
+    """True for what each half has of its own: all but samples of smooth functions and frames of single stations."""
+    return not c.basis.smooth and c.station is None
+
+
+def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
+    """Every way in which rows are divided into halves by blocks; readings of turning joints within one turn, and as they are.
+
+    Args:
+        rows: N rows.
+        loads: What else the arm feels, shape (N,) each: gravity on its joints.
+    """
+    found = []
+    joints = zip(rows.names, rows.kinds, rows.readings.T, strict=True)
+    columns = [(of, np.angle(np.exp(1j * q)) if kind != "prismatic" else q) for of, kind, q in joints]
+    for of, values in [*columns, ("row", np.argsort(rows.sequence).astype(float))]:
+        eighth = np.minimum(8 * np.searchsorted(np.sort(values), values) // len(values), 7)
+        found += [Division(of, how, np.array(pattern)[eighth] == 1) for how, pattern in PATTERNS.items()]
+    readings = dict(zip(rows.names, rows.readings.T, strict=True))
+    for of, values in (readings | rows.covariates | dict(loads)).items():
+        if np.isfinite(values).all():
+            middle = np.median(values)
+            above, least = values > middle, values >= middle
+            side = min((above, least), key=lambda half: abs(half.mean() - 0.5))
+            found.append(Division(of, next(iter(PATTERNS)), side))
+    kept: dict[bytes, Division] = {}
+    for each in found:
+        balance = min(each.side.mean(), 1.0 - each.side.mean())
+        if balance >= SMALLEST:
+            kept.setdefault((each.side ^ each.side[0]).tobytes(), each)  # whichever half is called the second
+    return list(kept.values())
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """One division: what its halves say, and what they say in draws.
+
+    Attributes:
+        division: Which rows are on which side.
+        p_values: Of the rows, then of each draw, shape (1 + DRAWS,).
+        squares: See :class:`Halves`.
+        freedom: Likewise.
+        usual: Mean square of the difference at the target that noise makes, [m^2].
+        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,); NaN where a division before differs as much.
+    """
+
+    division: Division
+    p_values: np.ndarray
+    squares: float
+    freedom: tuple[int, int]
+    usual: float
+    moved: np.ndarray
+
+
+def _compared(
+    rows: Columns, ways: list[Division], own: np.ndarray, data: Dataset, at_target: np.ndarray
+) -> Iterator[_Compared]:
+    """Compare the halves of every division that leaves enough numbers.
+
+    Args:
+        rows: N rows of m numbers.
+        ways: The divisions.
+        own: Coefficients that each half has of its own, shape (K,) bool.
+        data: The same rows.
+        at_target: What a difference of those coefficients is there, squared, shape (k, k); see :func:`_at_target`.
+    """
+    N, m, K = rows.J.shape
+    things = rows.solved()
+    J = rows.J.reshape(N * m, K)
+    none = np.zeros((len(rows.known.left), K))
+    JP, tied = rows.less(rows.J, none, things)
+    inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), RANK)
+    drawn, known = _draws(rows, data)
+    drawn, known = rows.less(drawn, known, things)
+    flat = drawn.reshape(N * m, -1)
+    # What all coefficients together take off the residuals, and off every draw.
+    steps = inverse @ (J.T @ flat)
+    flat = flat - JP.reshape(N * m, K) @ steps
+    known = known - tied @ steps
+    squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
+    numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
+    left = round(float(numbers)) - spent
+    least = np.full(flat.shape[1], np.inf)
+    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.labels.route), strict=True):
+        M = side.squares - side.cross.T @ inverse @ side.cross
+        root = root_of_inverse(M, RANK)
+        d = len(root)
+        if d == 0 or left - d < d:
+            continue
+        w = root @ side.pull
+        T2 = np.sum(w**2, axis=0)
+        noise = (squares - T2) / (left - d)
+        F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
+        p_values = fdtrc(d, left - d, F)
+        worst = p_values < least  # of no others is it asked what they move
+        least = np.minimum(least, p_values)
+        difference, moved = root.T @ w[:, worst], np.full(len(F), np.nan)
+        usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny) if worst.any() else np.nan
+        moved[worst] = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
+        yield _Compared(way, p_values, float(F[0]), (d, left - d), usual, moved)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Sums over the second half of a division, of the k columns that each half has of its own.
+
+    Attributes:
+        squares: With one another, shape (k, k), less what the things take up.
+        cross: With all columns, shape (K, k), likewise.
+        pull: With what is left of the residuals and of each draw, shape (k, 1 + DRAWS).
+    """
+
+    squares: np.ndarray
+    cross: np.ndarray
+    pull: np.ndarray
+
+
+def _sides(
+    rows: Columns,
+    ways: list[Division],
+    own: np.ndarray,
+    things: Eliminated,
+    flat: np.ndarray,
+    route: np.ndarray | None,
+) -> Iterator[_Side]:
+    """The sums of every division; those of one column are made of the same few parts of the rows.
+
+    Args:
+        rows: N rows of m numbers.
+        ways: The divisions.
+        own: Coefficients that each half has of its own, shape (K,) bool.
+        things: Of all rows: they hang together, so that sums over parts are none over the whole.
+        flat: What is left of the residuals and of the draws, shape (N m, 1 + DRAWS).
+        route: Number of the path that each row takes, shape (N,); None where all take one.
+    """
+    N, m, K = rows.J.shape
+    if rows.groups is not None:
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(own.sum())))
+        for way in ways:
+            A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
+            AP = rows.less(A, none, things)[0].reshape(N * m, -1)
+            A = A.reshape(N * m, -1)
+            yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
+        return
+    taken = np.zeros(N) if route is None else route
+    limbs = [_Limb(np.flatnonzero(taken == path), rows.J, own, flat.reshape(N, m, -1)) for path in np.unique(taken)]
+    made: dict[str, dict[bytes, _Side]] = {}
+    for way in ways:
+        if way.of not in made:
+            same = np.array([other.side for other in ways if other.of == way.of])
+            bits = np.arange(len(same))[::-1]
+            code, number = np.unique(2**bits @ same, return_inverse=True)
+            parts = code >> bits[:, None] & 1
+            crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
+            for limb in limbs:
+                each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}
+                for cross, pull, some in zip(crosses, pulls, parts, strict=True):
+                    chosen = [each[c] for c in np.flatnonzero(some).tolist()]
+                    cross[np.ix_(limb.columns, limb.own)] += sum(own for own, _ in chosen)
+                    pull[limb.own] += sum(own for _, own in chosen)
+            sides = [_Side(cross[own], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
+            made[way.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
+        yield made[way.of].pop(way.side.tobytes())
+
+
+class _Limb:
+    """Rows of one path: coefficients of other limbs do not move them."""
+
+    def __init__(self, rows: np.ndarray, J: np.ndarray, own: np.ndarray, left: np.ndarray) -> None:
+        """Take them and what moves them.
+
+        Args:
+            rows: Which of N rows they are.
+            J: Columns of all, shape (N, m, K).
+            own: Coefficients that each half has of its own, shape (K,) bool.
+            left: What is left of the residuals and of each draw, shape (N, m, 1 + DRAWS).
+        """
+        self.columns = np.flatnonzero(J[rows].any(axis=(0, 1)))
+        self._rows, self._own = rows, own[self.columns]
+        self.own = (np.cumsum(own) - 1)[self.columns[self._own]]
+        self._J, self._left = J[rows][:, :, self.columns], left[rows]
+
+    def sums(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Cross and pull of :class:`_Side` over some of the N rows, shape (N,) bool, of the columns that are not zero."""
+        here = some[self._rows]
+        J, left = (x[here].reshape(-1, x.shape[2]) for x in (self._J, self._left))
+        A = J[:, self._own]
+        # Products of columns with themselves are symmetric, and half the work.
+        cross = (J.T @ J)[:, self._own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
+        return cross, A.T @ left
+
+
+def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise.
+
+    The same rows give the same noise, other rows other noise: what chance made of one campaign is not that of the next.
+    """
+    of_kinds = () if data.direct else (data.observed,)
+    read = b"".join(values.tobytes() for values in (data.readings, data.position, *of_kinds))
+    rng = np.random.default_rng(int.from_bytes(hashlib.sha256(read).digest()))
+    N, m = rows.r.shape
+    if rows.share < 1.0:  # rows of one place are one measurement
+        place = held_together(data)
+        each = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
+        every = each[place] * np.sqrt(rows.share)
+    else:
+        every = rng.standard_normal((N, m, DRAWS))
+    noise = np.where(rows.there[:, :, None], every, 0.0)
+    known = rng.standard_normal((len(rows.known.left), DRAWS))
+    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, known])
+
+
+def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Mean square at the target of a difference of coefficients, shape (k, k), their common unobservable motion taken off.
+
+    Base and target are mounted anew by whoever uses a calibration: what differs by a motion of either is no difference of arms.
+
+    Args:
+        target: How it moves with the coefficients, shape (N, 3, K).
+        own: Coefficients that the halves have of their own, shape (K,) bool.
+        frames: Those of the two frames, shape (K,) bool.
+    """
+    J = target.reshape(-1, target.shape[2])
+    J = across(J[:, frames], J[:, own])
+    return np.asarray(J.T @ J) / len(target)

@@ -1,0 +1,348 @@
+r"""Is the target where the calibration says, to within a tolerance, in 95 % of a region: how likely, and how near it is.
+
+The error at a place has two parts. That of the calibration, :math:`J \delta` with :math:`\delta \sim N(0, \Sigma)`, is common to
+all places. What goes beyond it (what the model lacks, what the arm does not repeat) is of its own at each, with a mean square
+:math:`3 b^2` that rows never fitted tell: with the mean square :math:`s^2` of their residuals, the instrument's
+declared noise :math:`\sigma` and the calibration's own variance there,
+
+.. math:: b^2 = s^2 \, \nu / \chi^2_\nu - \sigma^2 - \overline{(J \Sigma J^T)}, \qquad b^2 \ge 0
+
+where :math:`\chi^2_\nu` is drawn, so that few rows leave b open. Noise that nobody declared, or
+that cannot be as large as declared, counts as the robot's. Each of many
+draws of all that gives one error that 95 % of the region stay below; of these, the one that 95 % of the draws stay below is what
+the region keeps within with 95 % confidence. Places where nothing was measured, or which no reading tells, are never within.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import betainc, betaincinv
+
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.fit.noise import WORTH_SAYING, Repeats
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.target_uncertainty import at_target
+from aridcal.engine.trust.workspace import Knowledge, Workspace
+
+SHARE = 0.95
+"""Share of the region that must be within. Convention."""
+
+CONFIDENCE = 0.95
+"""How sure that must be: of calibrations that are said to be within, at most one in twenty is not. Convention."""
+
+DRAWS = 400
+"""Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
+
+AXES = 3
+"""Of a place, or of a turn."""
+
+DOUBT = 0.05
+"""How rarely as many held-out rows as were seen may be off by more than the tolerance, if the error is what is said of it."""
+
+
+UNKNOWN_NOISE = (
+    "the instrument's noise is not declared, or cannot be what is declared: all that scatters counts as the robot's"
+)
+"""What is said of it."""
+
+
+@dataclass(frozen=True)
+class Beyond:
+    """What rows leave beyond the calibration's own uncertainty, along each axis, as seen from the target.
+
+    Attributes:
+        squares: Mean square of the residuals, [m²] or [rad²].
+        noise: Mean variance of the instrument's declared noise.
+        model: Mean variance of the prediction.
+        freedom: Behind ``squares``.
+        size: Length of each row's residual, shape (n,), [m] or [rad]; infinite of rows that were flagged as outliers, for nobody
+            knows whether it was the instrument that failed.
+        declared: False where nothing says what the instrument's noise is.
+        held_out: False where no row was held out: these are the fitted ones.
+    """
+
+    squares: float
+    noise: float
+    model: float
+    freedom: float
+    size: np.ndarray
+    declared: bool
+    held_out: bool
+
+    @property
+    def sigma(self) -> float:
+        """Most likely standard deviation, [m] or [rad]."""
+        return float(np.sqrt(max(self.squares - self.noise - self.model, 0.0)))
+
+    def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """What it may be, shape (count,), [m] or [rad]."""
+        squares = self.squares * self.freedom / rng.chisquare(self.freedom, count)
+        return np.asarray(np.sqrt(np.maximum(squares - self.noise - self.model, 0.0)))
+
+
+@dataclass(frozen=True)
+class Kept:
+    """What a region keeps within.
+
+    Attributes:
+        of: ``position`` or ``rotation``.
+        tolerance: Asked for, [m] or [rad]; None where nothing was.
+        bound: What 95 % of the region are within, with 95 % confidence; infinite where more than 5 % of it were not measured.
+        share: Of the region that is likely within the tolerance, 0 to 1; NaN without one.
+        confidence: That 95 % are; NaN without a tolerance.
+        calibration: RMS length of the calibration's error over the part that was measured.
+        beyond: RMS length of what goes beyond it.
+        measured: Share of the region where anything like it was measured.
+        told: Share where the readings tell it.
+        rows: Rows that judge: those held out, if there are any.
+        held_out: False where no row was held out.
+        rows_within: How many of them are within the tolerance, the instrument's noise included.
+        rows_share: Share of such rows that is within at least, by these, with 95 % confidence (Clopper and Pearson 1934).
+        reasons: Why it is not within, in words; empty where it is, or where no tolerance was given.
+        remarks: What was assumed.
+    """
+
+    of: str
+    tolerance: float | None
+    bound: float
+    share: float
+    confidence: float
+    calibration: float
+    beyond: float
+    measured: float
+    told: float
+    rows: int
+    held_out: bool
+    rows_within: int
+    rows_share: float
+    reasons: tuple[str, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def judges(self) -> str:
+        """What the rows that judge are called."""
+        return "held-out rows" if self.held_out else "fitted rows"
+
+    @property
+    def gap(self) -> str:
+        """Why nothing can be said of a part of the region, in words."""
+        if self.told < SHARE:
+            return f"no reading tells a part of what moves the target{' in some of it' if self.told else ''}"
+        return f"{100 * (1.0 - self.measured):.0f} % of that was not measured"
+
+    @property
+    def within(self) -> bool | None:
+        """The answer; None where no tolerance was given."""
+        return None if self.tolerance is None else not self.reasons
+
+
+def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.ndarray:
+    """Noise of each channel per axis that may be blamed on the instrument, shape (C,); 0 where nothing says what it is.
+
+    It is what is declared, but no more than repeats scatter by, and nothing where the rows fit so well that what is declared
+    cannot be true: an error of the robot would hide in it.
+
+    Args:
+        fit: The final model.
+        rows: All rows.
+        repeats: Scatter of those that repeat a configuration, where there are any.
+    """
+    stated = np.array([sigma or 0.0 for sigma in rows.sigma])
+    true = fit.estimated > stated * np.exp(-WORTH_SAYING)
+    most = np.inf if repeats is None else np.nan_to_num(repeats.sigma, nan=np.inf)
+    return np.where(true, np.minimum(stated, most), 0.0)
+
+
+def beyond(
+    fit: Fit,
+    rows: Dataset,
+    judging: np.ndarray,
+    outlier: np.ndarray,
+    residual: np.ndarray,
+    noise: np.ndarray,
+    tool: Sequence[float],
+    turn: bool,
+) -> Beyond | None:
+    """What rows that judge leave beyond the calibration; None where none tells.
+
+    Of a point beside the target both the shift and the turn that explain a row count, together.
+
+    Args:
+        fit: The final model.
+        rows: All N rows.
+        judging: Those that judge, shape (N,) bool.
+        outlier: Flagged rows, shape (N,) bool.
+        residual: Measured minus predicted of all, shape (N, m).
+        noise: See :func:`instrument_noise`.
+        tool: The point, in the target's axes, [m].
+        turn: Of the rotation instead of the position.
+    """
+    flagged = np.full(int((judging & outlier).sum()), np.inf)
+    judging = judging & ~outlier
+    own = rows.select(judging)
+    if not len(own):
+        return None
+    asked = problem(fit.model, own).settled(fit.theta)
+    seen = at_target(fit, own)
+    sigma = spread(noise, rows.channels)
+    size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
+    left, declared = residual[judging], True
+    for block in asked.blocks():  # of all rows at once the covariances alone would take 288 bytes a row
+        covariance = asked.carried(fit.theta, fit.covariance, block)
+        arm = fit.model.poses(fit.theta, asked.rows[block])[0] @ np.asarray(tool, dtype=float)
+        for lever in seen.levers:
+            first, last = np.searchsorted(lever.rows, (block.start, block.stop))
+            some, here = lever.rows[first:last], lever.rows[first:last] - block.start
+            by = lever.turn[first:last]
+            if not turn:
+                by = lever.shift[first:last] + np.cross(by, arm[here][:, :, None], axis=1)
+            rank = np.linalg.matrix_rank(by)
+            some, here, by, rank = some[rank > 0], here[rank > 0], by[rank > 0], rank[rank > 0]
+            if not len(some):
+                continue
+            felt = np.abs(by).max(axis=(0, 1)) > 0.0
+            declared &= bool(np.all(sigma[lever.part][felt] > 0.0))
+            off = np.einsum("nij,nj->ni", by, left[some, lever.part])
+            part = covariance[here][:, lever.part, lever.part]
+            size[some], told[some] = np.linalg.norm(off, axis=1), rank
+            squares[some] = np.sum(off**2, axis=1)
+            scatter[some] = np.sum((by * sigma[lever.part]) ** 2, axis=(1, 2))
+            model[some] = np.einsum("nij,njk,nik->n", by, part, by)
+    there = np.isfinite(size)
+    if not there.any():
+        return None
+    count = float(told[there].sum())
+    per_row = squares[there] / told[there]
+    configurations = len(np.unique(own.repeats.configuration[there]))
+    # Rows whose squares vary more than those of normal errors count for fewer, and repeats of a configuration for one.
+    wild = max(
+        1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / there.sum() / 2.0
+    )
+    held_out = bool(rows.test[judging].any())
+    if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
+        return None
+    free = 1.0 if held_out else fit.freedom / fit.numbers
+    return Beyond(
+        squares=float(squares[there].sum() / count) / free,
+        noise=float(scatter[there].sum() / count) if declared else 0.0,
+        model=float(model[there].sum() / count) if held_out else 0.0,
+        freedom=free * count * configurations / there.sum() / wild,
+        size=np.concatenate([size[there], flagged]),
+        declared=declared,
+        held_out=held_out,
+    )
+
+
+def kept(
+    known: Knowledge,
+    region: Workspace,
+    moves: tuple[np.ndarray, np.ndarray],
+    left: Beyond | None,
+    tolerance: float | None,
+    turn: bool,
+) -> Kept | None:
+    """What a region keeps within; None where no row tells anything of it.
+
+    Args:
+        known: The calibration.
+        region: The configurations, R of them.
+        moves: Columns of the shift of a point on the target and of the turn, with the coefficients (R, 6, K) and with what is
+            open (R, 6, D); see :meth:`Knowledge.columns`.
+        left: What rows leave beyond it.
+        tolerance: Asked for, [m] or [rad]; None where nothing is.
+        turn: Of the rotation instead of the position.
+    """
+    if left is None:
+        return None
+    part = slice(3, 6) if turn else slice(0, 3)
+    rng = np.random.default_rng(0)
+    own, more = moves
+    off = _drawn(own[:, part], known.fit.covariance, rng) + _drawn(more[:, part], known.open, rng)
+    off += _beyond(left, off.shape, rng)
+    told = region.turns_told if turn else region.told
+    there = region.measured & told
+    length = np.where(there[:, None], np.linalg.norm(off, axis=1), np.inf)
+    reached = np.quantile(length, SHARE, axis=0, method="higher")
+    bound = float(np.quantile(reached, CONFIDENCE, method="higher"))
+    variance = np.einsum("nii->n", region.turns if turn else region.covariance)[there]
+    remarks = [] if left.declared else [UNKNOWN_NOISE]
+    if not left.held_out:
+        remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
+    found = Kept(
+        of="rotation" if turn else "position",
+        tolerance=tolerance,
+        bound=bound,
+        share=float("nan"),
+        confidence=float("nan"),
+        calibration=float(np.sqrt(variance.mean())) if there.any() else float("nan"),
+        beyond=float(np.sqrt(AXES) * left.sigma),
+        measured=float(region.measured.mean()),
+        told=float(told.mean()),
+        rows=len(left.size),
+        held_out=left.held_out,
+        rows_within=0,
+        rows_share=float("nan"),
+        reasons=(),
+        remarks=tuple(remarks),
+    )
+    if tolerance is None:
+        return found
+    seen = np.linalg.norm(off[there] + np.sqrt(left.noise) * rng.standard_normal(off[there].shape), axis=1)
+    usual = float(np.mean(seen > tolerance)) if there.any() else 1.0
+    within, count = int((left.size <= tolerance).sum()), len(left.size)
+    confidence = float(np.mean(reached <= tolerance))
+    reasons = [] if bound <= tolerance else [_why(found)]
+    beyond = count - within
+    # so many or more by chance: the binomial tail (DLMF 8.17.5)
+    if beyond and betainc(beyond, within + 1, max(1.0 - SHARE, usual)) <= DOUBT:
+        reasons.append(f"{beyond} of {count} {found.judges} are off by more, which is more than this explains")
+    return replace(
+        found,
+        share=float(np.mean(length <= tolerance)),
+        confidence=confidence,
+        rows_within=within,
+        rows_share=float(betaincinv(within, count - within + 1, 1.0 - CONFIDENCE)) if within else 0.0,
+        reasons=tuple(reasons),
+    )
+
+
+def unjudged(of: str, tolerance: float) -> Kept:
+    """The answer where a tolerance was given, and no row tells anything of it."""
+    nan = float("nan")
+    reasons = (f"no row tells the target's {of}",)
+    return Kept(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
+
+
+def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Errors by coefficients drawn from their covariance, shape (R, 3, draws), from columns of shape (R, 3, K)."""
+    values, vectors = np.linalg.eigh(covariance)
+    # The symmetric root is the same whatever signs rounding gives the vectors.
+    root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    flat = columns.reshape(columns.shape[0] * columns.shape[1], len(root))
+    return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
+
+
+def _beyond(left: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+    """What goes beyond the calibration, shape (R, 3, draws): normal along a direction drawn at each place.
+
+    Joints that do not repeat, and most that a model lacks, move a place more one way than another, which nobody knows. Of all
+    normal errors of one mean square those along one line have the longest tail: 95 % are within 1.96 of its roots, and within
+    1.61 of those that go all ways alike.
+    """
+    way = rng.standard_normal(shape)
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    size = np.sqrt(AXES) * left.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
+    return np.asarray(way * size)
+
+
+def _why(found: Kept) -> str:
+    """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
+    if np.isinf(found.bound):
+        return found.gap
+    unit = "mrad" if found.of == "rotation" else "mm"
+    return f"only {1e3 * found.bound:.3g} {unit} can be said with {100 * CONFIDENCE:.0f} % confidence"

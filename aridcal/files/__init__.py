@@ -1,0 +1,1 @@
+"""Campaigns and tables: bytes to rows and back."""

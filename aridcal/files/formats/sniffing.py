@@ -1,0 +1,252 @@
+"""How a table is written, found by looking at it once; what it does not tell is left open, never guessed.
+
+`aridcal init` writes what is found here into the campaign, and whatever reads the table afterwards goes by that alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from aridcal.files.formats import robot_calibration
+from aridcal.files.formats.encodings import encoding
+from aridcal.files.formats.layout import Layout, layout, list_parts, list_size
+from aridcal.files.formats.makers import maker
+from aridcal.files.formats.numbers_seen import is_number, marks
+from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.reading import workbooks
+from aridcal.system.reading.dates import has_date, orders, seconds
+from aridcal.system.reading.dialect import PLAIN, Dates, Dialect
+from aridcal.system.reading.numerals import several
+from aridcal.system.reading.regular_files import Limit
+from aridcal.system.reading.written import LINE_END, decoded
+
+LOOKED_AT = 3000
+"""Lines that are looked at: more make nothing plainer."""
+
+MOST = 4_000_000
+"""Characters that are looked at; some of a line of any length."""
+
+AT_FIRST = 40
+"""Lines among which a maker's name is looked for."""
+
+POSE_OF_SIX = ("x", "y", "z", "rx", "ry", "rz")
+"""Names for a list of six numbers that is called a pose."""
+
+GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
+"""A list in a list."""
+
+POSE_OF_SEVEN = ("x", "y", "z", "q1", "q2", "q3", "q4")
+
+CLOCK_WORDS = ("time", "stamp", "date", "zeit", "datum", "uhrzeit", "heure", "fecha", "hora")
+"""In the name of a column that may be of dates."""
+
+Pick = Callable[[str, str, Sequence[str], str], int]
+"""Asks: key, question, answers, why; gives the number of the answer, or raises."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a file is written.
+
+    Attributes:
+        dialects: All that it may be in, the likeliest first.
+        maker: Of the program that wrote it; empty where nothing tells.
+    """
+
+    dialects: tuple[Dialect, ...]
+    maker: str = ""
+
+
+def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
+    """Find out how a file is written.
+
+    Args:
+        content: Its bytes.
+        path: Its name.
+        limit: How much may be read.
+        pick: Asked where the file leaves a choice that no robot's motion decides.
+
+    Raises:
+        MeasurementError: it is no table, or one that is written in two ways at once.
+    """
+    ending = path.suffix.lower()
+    if ending in robot_calibration.ENDINGS:
+        return _samples(content, path, pick)
+    sheet, coded, separated = "", "utf-8", ","
+    if ending in workbooks.ENDINGS:
+        sheet, text = _sheet(content, path, limit, pick)
+    else:
+        coded = encoding(content, path)
+        text = decoded(content, path, coded)
+    lines = LINE_END.split(text[:MOST])[:LOOKED_AT]
+    who = maker(lines[:AT_FIRST])
+    try:
+        found = layout(lines)
+    except MeasurementError as problem:
+        raise MeasurementError(f"{path}, {problem}") from None
+    if found is None:
+        return Found((replace(PLAIN, encoding=coded, sheet=sheet),), who)
+    if ending not in workbooks.ENDINGS:
+        separated = found.separator
+    if not found.header:
+        raise MeasurementError(
+            f"{path}: no line names its {len(found.rows[0])} columns{_of(who)}; write their names above line {found.first}, "
+            "joints as in the URDF, then x y z and the orientation's"
+        )
+    base = Dialect(
+        encoding=coded,
+        separator=separated,
+        header=found.header,
+        first_row=_first_row(found),
+        comment=found.comment,
+        sheet=sheet,
+    )
+    base = replace(base, lists=_lists(found), dates=_dates(found, path, pick))
+    numbers = [row[k] for row in found.rows for k in found.numeric if k < len(row) and is_number(row[k])]
+    numbers += [part for row in found.rows for cell in row for part in list_parts(cell)]
+    if sheet or ending in workbooks.ENDINGS:
+        numbers = [cell for cell in numbers if "," in cell] or numbers  # Excel's own numbers are none in any dialect
+    pairs = marks(numbers, str(path))
+    return Found(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
+
+
+def as_keys(dialect: Dialect) -> dict[str, object]:
+    """What `table` of a campaign says of a dialect: only what is not plain csv."""
+    words = {"\t": "tab", " ": "blanks"}
+    keys: dict[str, object] = {}
+    for name in ("sheet", "encoding", "separator", "decimal", "thousands", "first_row", "export"):
+        value = getattr(dialect, name)
+        if value != getattr(PLAIN, name):
+            keys[name] = {" ": "blank"}.get(value, value) if name == "thousands" else words.get(value, value)
+    if dialect.header != PLAIN.header:
+        keys["header"] = dialect.header[0] if len(dialect.header) == 1 else list(dialect.header)
+    if dialect.comment:
+        keys["comment"] = list(dialect.comment)
+    if dialect.lists:
+        keys["lists"] = {name: list(parts) for name, parts in dialect.lists.items()}
+    if dialect.dates:
+        keys["dates"] = {"order": dialect.dates.order, "columns": list(dialect.dates.columns)}
+    return keys
+
+
+def _of(who: str) -> str:
+    return f" (it looks like an export of {who})" if who else ""
+
+
+def _first_row(found: Layout) -> int:
+    """0 where rows begin right below the header."""
+    return 0 if found.first == max(found.header) + 1 else found.first
+
+
+def _samples(content: bytes, path: Path, pick: Pick) -> Found:
+    """Samples of robot_calibration, and the sensor that measured."""
+    names = robot_calibration.sensors(content, path)
+    if not names:
+        raise MeasurementError(
+            f"{path}: no sensor has points that change from sample to sample; measure more configurations"
+        )
+    k = 0 if len(names) == 1 else pick("table.sheet", "which sensor measured the target", names, f"{path} has several")
+    return Found((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
+
+
+def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, str]:
+    """The sheet that holds a table, empty where there is one only, and its text."""
+    names = workbooks.sheets(content, path, limit)
+    texts = {name: workbooks.as_csv(content, path, limit, name, ".").decode() for name in names}
+    tables = [name for name in names if layout(texts[name][:MOST].split("\n")[:LOOKED_AT])]
+    if not tables:
+        raise MeasurementError(
+            f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured"
+        )
+    k = (
+        0
+        if len(tables) == 1
+        else pick("table.sheet", "which sheet holds the measurements", tables, f"{path} has several tables")
+    )
+    return ("" if len(names) == 1 else tables[k]), texts[tables[k]]
+
+
+def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
+    """Columns of lists, and names for their numbers."""
+    lists: dict[str, tuple[str, ...]] = {}
+    for k, name in enumerate(found.names):
+        cells = [row[k] for row in found.rows if k < len(row) and row[k]]
+        sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}
+        if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
+            continue
+        size = sizes.pop()
+        about = name.lower()
+        named: tuple[str, ...] | None = None
+        groups = [len(several(part, PLAIN)) for part in GROUP.findall(cells[0])]
+        if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
+            named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
+        elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes
+            named = (
+                *(f"{name} axis {number}" for number in range(1, 7)),
+                *(f"{name} other {k}" for k in range(7, size + 1)),
+            )
+        elif "pose" in about or "tcp" in about or cells[0].lower().startswith("p"):
+            named = {6: POSE_OF_SIX, 7: POSE_OF_SEVEN}.get(size)
+        else:
+            named = (
+                {3: ("x", "y", "z")}.get(size) if about in ("position", "xyz", "translation", "point", "p") else None
+            )
+        taken = set(found.names) | {part for parts in lists.values() for part in parts}
+        if named is None or set(named) & taken:
+            named = tuple(f"{name} {number + 1}" for number in range(size))
+        lists[name] = named
+    return lists
+
+
+def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
+    """Columns of dates and times of day, if any, and the order of their numbers."""
+    columns: list[str] = []
+    for k, name in enumerate(found.names):
+        cells = _filled(found, k)
+        if k in found.numeric or not (name and cells) or not orders(cells):
+            continue
+        if any(word in name.lower() for word in CLOCK_WORDS) or has_date(cells[0]):
+            columns.append(name)
+    if not columns:
+        return None
+    place = {name: k for k, name in enumerate(found.names)}
+    dated = [name for name in columns if has_date(_filled(found, place[name])[0])]
+    clocks = [name for name in columns if name not in dated]
+    whole = [name for name in dated if ":" in _filled(found, place[name])[0]]
+    if whole:
+        chosen = whole[:1]
+    elif dated and clocks:
+        chosen = [dated[0], clocks[0]]
+    else:
+        chosen = (dated or clocks)[:1]
+    rows = [" ".join(row[place[name]] for name in chosen) for row in found.rows]
+    filled = [row for row in rows if row.strip()]
+    return Dates(
+        _order(filled, chosen, path, pick), tuple(sorted(chosen, key=lambda name: (name in clocks, place[name])))
+    )
+
+
+def _filled(found: Layout, k: int) -> list[str]:
+    return [row[k] for row in found.rows if k < len(row) and row[k]]
+
+
+def _order(cells: Sequence[str], names: Sequence[str], path: Path, pick: Pick) -> str:
+    """The one order in which these are dates that differ as they should; asked where several are."""
+    possible = orders(cells)
+    if not possible:
+        return "ymd"
+    apart: dict[str, list[float]] = {}
+    for order in possible:
+        times = [seconds(cell, order) or 0.0 for cell in cells]
+        apart[order] = [b - a for a, b in itertools.pairwise(times)]
+    unlike = [order for k, order in enumerate(possible) if apart[order] not in [apart[o] for o in possible[:k]]]
+    forward = [order for order in unlike if all(step >= 0 for step in apart[order])]
+    unlike = forward if len(forward) == 1 else unlike
+    if len(unlike) == 1:
+        return unlike[0]
+    why = f"{path}, column {' '.join(names)}: {cells[0]!r} is a date in each"
+    return unlike[pick("table.dates", "in which order are day (d), month (m) and year (y)", unlike, why)]

@@ -1,0 +1,519 @@
+"""Files of a campaign to one data set: read, checked, converted to SI and split."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.pose import pose_numbers, turned
+from aridcal.engine.instruments.setup import TIP, Block
+from aridcal.engine.robot.chain import JointKind, Robot, Route, check_route
+from aridcal.engine.rows.dataset import Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.engine.rows.remarks import Remark
+from aridcal.engine.rows.repeats import blocks, by_content, places
+from aridcal.engine.rows.row_facts import ROLES, Labels, Origin, Repeats, untold
+from aridcal.engine.rows.split import draw_split, with_training_rows
+from aridcal.files.campaign import Campaign
+from aridcal.files.checks import (
+    check_distances,
+    check_units,
+    note_limits,
+    nothing_usable,
+    refuse_copies,
+    refuse_impossible_readings,
+    stale_rows,
+)
+from aridcal.files.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
+from aridcal.files.quantities import Source
+from aridcal.files.routes import needed_columns, numbered, routes_of
+from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest, shortened
+from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
+from aridcal.system.reading.freed import give_back
+
+if TYPE_CHECKING:
+    from aridcal.files.tables import AnyTable, Table
+
+ONE_TARGET = "target"
+"""Label of the target of rows that name none, where others do."""
+
+
+def own_target(kind: Kind, title: str) -> str:
+    """Label of the target of a block's rows that name none: links themselves, a level's own frame, or the only one."""
+    if kind.bare:
+        return TIP
+    return title if kind.level else ONE_TARGET
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What is wanted of every table: see :func:`load_measurements`."""
+
+    campaign: Campaign
+    readings: tuple[str, ...]
+    limits: np.ndarray
+    kinds: tuple[JointKind, ...]
+    seed: int
+    require_pose: bool
+    fitted: bool
+    own_files: bool
+    known: Known
+    robot: Robot | None
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One block, read: its rows, and what is known of their noise."""
+
+    rows: Dataset
+    noise: RowNoise
+
+
+def load_measurements(
+    campaign: Campaign,
+    readings: Sequence[str],
+    limits: np.ndarray,
+    kinds: Sequence[JointKind],
+    seed: int = 0,
+    *,
+    files: Sequence[AnyTable] | None = None,
+    require_pose: bool = True,
+    fitted: bool = True,
+    robot: Robot | None = None,
+) -> Dataset:
+    """Read the measurements of a campaign.
+
+    Args:
+        campaign: Says which files, columns, units and orientations.
+        readings: Joints whose readings are needed.
+        limits: Lower and upper limit of each, shape (columns, 2), [rad] or [m], infinite where there is none.
+        kinds: Of each joint; limits of a `continuous` one count whole turns.
+        seed: For the split into train and test, where the files have no `split`.
+        files: Tables in place of the campaign's own, in the same format; of several blocks each table is of the one whose
+            columns it has.
+        require_pose: False for rows that measure something else than the target; then `position` is NaN.
+        fitted: False for rows that are scored only: their stations and labels need no training rows.
+        robot: Through whose tree rows take paths, where anything that they refer to is on a link of its own.
+
+    Raises:
+        CampaignError: `columns` names an unknown quantity, or what is known of the instruments cannot be used.
+        MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
+            disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
+    """
+    known, own = known_of(campaign), files is None
+    robot = robot if campaign.links else None
+    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
+    of_blocks = _tables_of_blocks(campaign, files)
+    parts = [_block(asked, number, tables) for number, tables in of_blocks]
+    direct = not require_pose or _direct(campaign, parts[0].rows)
+    if not (direct or fitted):
+        there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
+        parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
+    rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
+    if fitted:
+        drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
+        rows = with_training_rows(rows, campaign.question.by_station, drawn)
+    if direct:
+        rows = weighed(rows, parts[0].noise)
+    else:
+        rows = _with_instruments(weighed_apart(rows, [part.noise for part in parts]), asked)
+    if fitted:
+        _check_masses(rows, campaign)
+    return rows
+
+
+def _check_masses(rows: Dataset, campaign: Campaign) -> None:
+    """Refuse rows that lack the mass of a payload that the campaign hangs up.
+
+    Raises:
+        CampaignError: naming its column.
+    """
+    for number, (name, payload) in enumerate(zip(campaign.masses, campaign.payload, strict=True)):
+        if name not in rows.covariates:
+            raise CampaignError(
+                f"{campaign.path}: {campaign.payload_key(number)}.column: the tables have no numeric column "
+                f"{shortened(payload.column)!r}; name the one of the mass, or delete the payload"
+            )
+
+
+def _block(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> _Part:
+    """Read the tables of one block of the campaign, which is told by its number."""
+    rows, chosen, noise = _read(asked, number, tables)
+    give_back()  # the table's cells, which are more than all that was made of them
+    rows = rows.select(chosen)  # those as they stand in the table are let go
+    rows = rows.with_repeats(configuration=blocks(rows.readings, asked.kinds))
+    if not rows.origin.split_given:
+        rows = replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed))
+    return _Part(rows, noise)
+
+
+def _source(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> Source:
+    """The tables of a block as they stand in their files."""
+    campaign, settings = asked.campaign, asked.campaign.blocks[number]
+    own = [settings.columns.get(name, name) for name in asked.readings]
+    needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
+    there = _existing(campaign, tables, asked.own_files)
+    from aridcal.files.tables import read_tables  # slow to load: only where there are tables
+
+    table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
+    for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
+        where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
+        raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
+    stated = campaign.robot.stated.names
+    return Source(table, settings, asked.readings, asked.kinds, asked.limits, str(campaign.path), stated)
+
+
+def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
+    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
+    campaign, kinds, source = asked.campaign, asked.kinds, _source(asked, number, tables)
+    table, settings = source.table, source.settings
+    q = source.joints() if asked.robot is None else np.zeros((len(table), len(kinds)))
+    of_target = asked.require_pose and settings.traits.tracked
+    position, quaternion, std = np.full((len(table), 3), np.nan), None, None
+    if of_target:
+        if settings.traits.oriented:
+            position, quaternion = source.pose()
+            source.refuse_second_orientation()
+        else:
+            position = source.position()
+        std = source.std()
+    target = source.labels(TARGET, filled=True) if TARGET in settings.own_columns else None
+    if target is None and settings.target is not None:
+        target = np.full(len(table), settings.target)
+    read_here = asked.require_pose and not of_target
+    observed = _observed(source) if read_here else position
+    nothing = untold(len(table))
+    refers = _refers(source, asked) if read_here else nothing.refers
+    if read_here:
+        camera = refers[:, 0] if settings.traits.images else None
+        refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
+    if asked.robot is not None:
+        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
+        q = source.joints(needed_columns(asked.robot, paths))
+    by_station = campaign.question.by_station and (of_target or len(campaign.blocks) == 1)
+    station = source.labels("station", needed="station" if by_station else "")
+    split = source.split()
+    covariates = source.covariates()
+    if asked.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
+        source.note_unknown_ignored()
+    _unroll(source, covariates)
+    time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
+    held = [q, observed, quaternion, std, *others]
+    labels = [station, target, *(refers.T if read_here else ())]
+    words = [None if label is None else np.unique(label, return_inverse=True)[1] for label in (*labels, split)]
+    canonical = by_content([time, *held, *words])
+    timed = time is not None and bool(np.isfinite(time[source.usable]).all())
+    sequence = canonical if timed else np.arange(len(table))
+    refuse_copies(source, held, labels, sequence)  # without the time: the same pose later is a copy, too
+    if not source.usable.any():
+        raise nothing_usable(source)
+    check_units(source, q, position if of_target else None)
+    check_distances(source, observed)
+    note_limits(source, q)
+    stale = doubtful = np.zeros(len(table), dtype=bool)
+    if of_target:
+        measured = position if quaternion is None else np.hstack([position, quaternion])
+        stale, doubtful = stale_rows(source, q, measured, sequence, noted=quaternion is not None)
+        observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
+    chosen = canonical[source.usable[canonical]]
+    rows = Dataset(
+        names=asked.readings,
+        kinds=kinds,
+        readings=q,
+        blocks=(_block_of(settings),),
+        observed=observed if asked.require_pose else np.zeros((len(table), 0)),
+        relative=None,
+        covariates=covariates,
+        test=np.zeros(len(table), dtype=bool) if split is None else split,
+        labels=Labels(nothing.block, refers, station, target if asked.require_pose else None),
+        repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
+        origin=Origin(
+            file=table.file,
+            line=table.line,
+            order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
+            files=table.files,
+            sha256=table.sha256,
+            refused=source.refusals(),
+            notices=tuple(source.notices),
+            split_given=split is not None,
+        ),
+    )
+    numbers = sum(channel.size for channel in rows.channels)
+    noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
+    return rows, chosen, noise
+
+
+def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
+    """Add a day to the times of rows after midnight.
+
+    Raises:
+        MeasurementError: nobody can tell how many nights they pass.
+    """
+    if "time" not in covariates:
+        return
+    column, dates, time = source.column("time"), source.settings.table.dialect.dates, covariates["time"]
+    of_day = dates is not None and dates.name == column and float(np.nanmax(np.abs(time))) < 2 * DAY
+    clock = unrolled(time, of_day)
+    if clock is None:
+        raise MeasurementError(f"{source.table.title}: column {column!r} {NIGHTS}")
+    passed = clock != time
+    if of_day:
+        passed |= clock >= DAY
+    if (passed & np.isfinite(time)).any():
+        line = source.table.line[np.flatnonzero(passed & np.isfinite(time))[0]]
+        source.note(column, f"passes midnight: from line {line} on it counts one day more")
+    covariates["time"] = clock
+
+
+def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
+    """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
+    none = np.zeros(0, dtype=int)
+    rows, origin = like.rows.select(none), Origin(none, none, none.astype(float), split_given=True)
+    return _Part(replace(rows, origin=origin, blocks=(_block_of(settings),)), RowNoise())
+
+
+def _block_of(settings: MeasurementSettings) -> Block:
+    """A block with its channels and their declared sigmas."""
+    channels = settings.traits.channels
+    sigma = tuple(getattr(settings.noise, channel.name) for channel in channels)
+    return Block(settings.title, settings.kind, channels, sigma)
+
+
+def _direct(campaign: Campaign, rows: Dataset) -> bool:
+    """True where a tracker alone measures, and nothing tells a target of several or a link that it is on."""
+    only = len(campaign.blocks) == 1 and rows.blocks[0].traits.tracked
+    return only and rows.labels.target is None and not campaign.links
+
+
+def _observed(source: Source) -> np.ndarray:
+    """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
+    settings, kind = source.settings, source.settings.traits
+    names = kind.read
+    cells = [source.column(name) for name in names]
+    of_length = kind.ranges or kind.gauges
+    scale = [settings.units.scale(name, "length") if of_length else 1.0 for name in cells]
+    if kind.gauges and not source.has(cells[0]):
+        return np.zeros((len(source.table), 1))
+    source.table.require(cells, f"`kind: {settings.kind}` needs {' '.join(names)}; map them under measurements.columns")
+    if SHOT in settings.own_columns:
+        source.labels(SHOT)
+    return source.needed(cells, scale)
+
+
+def _refers(source: Source, asked: _Asked) -> np.ndarray:
+    """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
+    settings, known = source.settings, asked.known
+    n = len(source.table)
+    labels = {role.name: np.full(n, "") for role in settings.traits.roles}
+    for role in settings.traits.roles:
+        if role.name == "board":  # what carries the marker, once that is known
+            continue
+        words = source.labels(role.name, needed=settings.kind if role.name in LABELLED else "", filled=True)
+        if words is None:
+            words = np.full(n, _default(asked.campaign, settings, role.name))
+        if role.name == "camera":
+            words = _declared_cameras(source, words, known)
+        labels[role.name] = words
+    if "marker" in labels:
+        pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
+        labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
+    for board, stated in known.boards.items() if "marker" in labels else ():
+        missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
+        assert stated.file is not None
+        source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
+    return np.column_stack([*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))])
+
+
+def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
+    """Label of all rows of a block whose table has no such column: the only thing that the campaign names, or the block's own."""
+    declared = list(campaign.instruments.declared[role])
+    if role == "camera" and settings.camera is not None:
+        return settings.camera
+    alike = [block for block in campaign.blocks if block.kind == settings.kind]
+    if len(declared) == 1 and (len(alike) == 1 or role == "camera"):
+        return declared[0]
+    if role == "camera":
+        raise CampaignError(
+            f"{campaign.path}: measurements.camera: there are several cameras ({listed(declared)}); say which took the "
+            f"images of {settings.title}: `camera: NAME`, or a column `camera`"
+        )
+    return settings.title
+
+
+def _declared_cameras(source: Source, words: np.ndarray, known: Known) -> np.ndarray:
+    """The cameras of the rows, shape (N,), those of unusable rows put right.
+
+    Raises:
+        MeasurementError: of one of them nothing is known.
+    """
+    cameras = list(known.settings.cameras)
+    unknown = ~np.isin(words, cameras)
+    rows = np.flatnonzero(unknown & source.usable)
+    if len(rows):
+        remark = source.table.remark(int(rows[0]), source.column("camera"), "there is no such camera")
+        hint = nearest(str(words[rows[0]]), cameras)
+        raise MeasurementError(f"{remark}{hint}; add it under instruments.cameras of {known.origin}")
+    return np.where(unknown, cameras[0], words)
+
+
+def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
+    """The rows with a label of their target, where there is more than one.
+
+    Raises:
+        CampaignError: these labels cannot be used with the campaign's frames.
+        MeasurementError: a table calls a target of its own what the tip is called.
+    """
+    given = rows.labels.target
+    label = given if given is not None else np.full(len(rows), "", dtype=str)
+    own = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
+    if given is None and len(set(own.values())) == 1:
+        return rows
+    if TIP in label and TIP in own.values():
+        bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
+        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
+    told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
+    if campaign.frames.tip_target.per is not None:
+        raise CampaignError(
+            f"{campaign.path}: frames.tip_target: `per: station` is not for several targets "
+            f"({listed(np.unique(told).tolist())}); delete it, and give a target that was moved a label of its own"
+        )
+    return rows.with_labels(target=told)
+
+
+def _refuse_things_at_stations(rows: Dataset, campaign: Campaign) -> None:
+    """Refuse things in the world beside a base that is at another place in it at each station: theirs would be there, too.
+
+    Raises:
+        CampaignError: naming the first block with such rows.
+    """
+    if campaign.frames.world_base.per is None or rows.direct:
+        return
+    starts = np.array([path.start is None for path in rows.labels.routes])
+    in_world = starts[np.zeros(len(rows), dtype=int) if rows.labels.route is None else rows.labels.route]
+    for number, block in enumerate(rows.blocks):
+        if not block.traits.tracked and in_world[rows.labels.block == number].any():
+            raise CampaignError(
+                f"{campaign.path}: frames.world_base: `per: station` is for rows of a tracker, and {block.name} "
+                f"(`kind: {block.kind}`) refers to the world; delete it, or give what stands elsewhere at each station a label "
+                "of its own"
+            )
+
+
+def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
+    """The rows with what is known of the things that they refer to."""
+    rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, asked.readings))
+    of_blocks = [
+        Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+    ]
+    made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
+    if asked.robot is not None:
+        remarks = [*remarks, *_undeclared_targets(rows, asked.campaign)]
+        rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
+    _refuse_things_at_stations(rows, asked.campaign)
+    notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
+    return replace(rows, instruments=made).with_origin(notices=(*rows.origin.notices, *notices))
+
+
+def _undeclared_targets(rows: Dataset, campaign: Campaign) -> Iterator[str]:
+    """Remarks on targets beside others of which the campaign says what carries them: a label may be misspelt.
+
+    Raises:
+        MeasurementError: there is no tip that would carry them; naming the first.
+    """
+    if rows.labels.target is None:
+        return
+    bare = np.array([block.traits.bare for block in rows.blocks])[rows.labels.block]
+    stated = campaign.instruments.targets
+    untold = sorted(set(rows.labels.target[~bare].tolist()) - set(stated))
+    if "tip" in campaign.robot.model_fields_set:
+        named = [label for label in untold if label not in {ONE_TARGET, *(block.name for block in rows.blocks)}]
+        for label in named if stated else ():
+            yield (
+                f"target {label!r}{nearest(label, stated)}: no key instruments.targets.{label} says on which link it is; "
+                f"it is taken to be on the tip, {campaign.robot.tip}"
+            )
+    elif untold:
+        raise MeasurementError(
+            f"{rows.title}: no key says on which link the target {untold[0]!r} is: add instruments.targets.{untold[0]}: "
+            "{on: LINK}, or name robot.tip, which carries all others"
+        )
+
+
+def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Known, robot: Robot) -> Dataset:
+    """The rows with the paths that they take.
+
+    Raises:
+        RobotError: no joint moves on one of them.
+    """
+    paths = [Route()] * len(rows)
+    for number, block in enumerate(blocks):
+        own = np.flatnonzero(rows.labels.block == number)
+        target = None if rows.labels.target is None else rows.labels.target[own]
+        of_block = routes_of(known, block.kind, rows.labels.refers[own], target, robot.tip, block.links)
+        for k, path in zip(own.tolist(), of_block, strict=True):
+            paths[k] = path
+    routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
+    for path in routes[1:]:
+        check_route(robot, path)
+    return rows.with_labels(routes=routes, route=route)
+
+
+def _counted_on(table: Table) -> np.ndarray:
+    """Lines of the rows, those of the second file after those of the first, shape (N,)."""
+    last = [table.line[table.file == k].max(initial=0) for k in range(len(table.files))]
+    return np.asarray(table.line + np.cumsum([0, *last])[table.file], dtype=float)
+
+
+def _existing(campaign: Campaign, tables: Sequence[AnyTable], own: bool) -> Sequence[AnyTable]:
+    """The tables to read; a README beside the campaign may say where to get a file that is not there."""
+    readme = campaign.path.parent / "README.md"
+    missing = next((path for path in tables if isinstance(path, Path) and not path.exists()), None)
+    if missing is not None and own and readme.is_file():
+        raise MeasurementError(f"{missing}: there is no such file. {readme} may say where to get it")
+    return tables
+
+
+def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> list[tuple[int, Sequence[AnyTable]]]:
+    """Tables of each block, by its number.
+
+    Raises:
+        MeasurementError: a table that is given in place of the campaign's own may be of any block or of none.
+    """
+    if files is None and not campaign.has_other_tables:
+        return [(number, block.files) for number, block in enumerate(campaign.blocks)]
+    tables = campaign.tables if files is None else files
+    if len(campaign.blocks) == 1:
+        return [(0, tables)]
+    from aridcal.files.tables import path_of  # as above
+
+    of_block: dict[int, list[AnyTable]] = {}
+    for table in tables:
+        having = [k for k, block in enumerate(campaign.blocks) if block.needs <= _names(table, block, campaign)]
+        needed = {k: len(campaign.blocks[k].needs) for k in having}
+        most = [k for k in having if needed[k] == max(needed.values())]
+        if len(most) != 1:
+            titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            what = f"{'several' if most else 'none'} of the blocks {titles}"
+            raise MeasurementError(
+                f"{path_of(table)}: its columns fit {what}; give it the columns of one, and that one columns that no other "
+                "has (`columns`)"
+            )
+        of_block.setdefault(most[0], []).append(table)
+    return sorted(of_block.items())
+
+
+def _names(table: AnyTable, settings: MeasurementSettings, campaign: Campaign) -> set[str]:
+    """Columns of a table as a block would read it; none where it is not written as the block's own files are."""
+    from aridcal.files.tables import read_tables  # as above
+
+    try:
+        return set(read_tables([table], None, campaign.limits.table, settings.table.dialect, settings.needs).names)
+    except MeasurementError:
+        if settings.table.is_plain:
+            raise
+        return set()

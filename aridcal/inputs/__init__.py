@@ -1,1 +1,0 @@
-"""Files to data: campaign, tables, quantities in SI, repeats and the split."""

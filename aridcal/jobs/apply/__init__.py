@@ -1,0 +1,1 @@
+"""A calibration in use: target poses, joint commands, robot programs."""

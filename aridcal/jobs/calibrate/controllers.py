@@ -1,0 +1,367 @@
+"""What controllers are given: as much of the calibration as each of them takes, and the error that this leaves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from textwrap import indent
+from typing import Any
+
+import numpy as np
+import yaml
+
+from aridcal.engine.corrections.basis import evaluate
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.fit.constants import is_zero, stage_urdf
+from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable, thin
+from aridcal.engine.fit.normal_equations import Prior
+from aridcal.engine.fit.problem import Problem, problem
+from aridcal.engine.fit.stages import recentred
+from aridcal.engine.instruments.channels import Channel, columns
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
+from aridcal.engine.rows.dataset import Dataset, with_sigma
+from aridcal.engine.trust.regions import Region, Regions, regions
+from aridcal.jobs.calibrate.key_figures import judged_channels, scored
+from aridcal.jobs.calibrate.outcome import Outcome, leading
+from aridcal.jobs.calibrate.urdf_files import write_urdf
+
+ROWS = 2000  # that an export is fitted to
+MAP_POINTS = 401  # of a joint's error curve, at least
+PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
+BY_REGION, INDEX = "URDF by region", "regions/index.yaml"
+WHERE_HOLDS = (
+    "A region's URDF holds where its `middle` is the nearest, each coordinate divided by its `scale` [m, rad]. All go with",
+    "the two frames of `URDF by region` in frames.yaml.",
+)
+WHOSE_HOLDS = (
+    "A region's URDF holds for rows whose `station` is its `label`; that of an empty label, the one model, for all others. All",
+    "go with the two frames of `URDF by region` in frames.yaml.",
+)
+FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
+
+
+@dataclass(frozen=True)
+class Export:
+    """One way to hand the calibration over, and what it leaves.
+
+    Attributes:
+        name: ``URDF alone``, ``full model`` and so on.
+        files: Where it is, in the result folder.
+        error: RMS error on the held-out rows, or on the fitted ones if none were held out, in the channel that judges: [m] of
+            positions.
+        apart: RMS distance of its predictions from the full model's on the same rows, [m].
+        model: Holds the two frames that go with it, fitted to what it can express.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    error: float
+    apart: float
+    model: Model = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Handover:
+    """All exports of a calibration.
+
+    Attributes:
+        exports: The least complete first, the full model last.
+        rows: On which they are scored, ``60 held-out rows`` for instance.
+        channel: In which.
+        offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
+            are absent.
+        maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
+        with_maps: The fit whose constants go with the maps; None where no joint has a curve.
+        calibrated: The chain of ``calibrated.urdf``.
+        regions: Constants of each region, where some deviate from the one model; else None.
+    """
+
+    exports: tuple[Export, ...]
+    rows: str
+    channel: Channel
+    offsets: dict[str, float]
+    maps: dict[str, tuple[np.ndarray, np.ndarray]]
+    with_maps: Fit | None
+    calibrated: Robot
+    regions: Regions | None = None
+
+    def summary(self) -> str:
+        """One line: ``nominal 1.73 mm, URDF alone 0.65, full model 0.16``."""
+        figures = [f"{e.name} {self.channel.scale * e.error:.3f}" for e in self.exports]
+        return f"{figures[0]} {self.channel.shown}, {', '.join(figures[1:])}"
+
+
+def hand_over(outcome: Outcome) -> Handover:
+    """Work out what each kind of controller can be given.
+
+    Joint-zero offsets alone, and constants that go with the joints' own curves, are fitted anew to the training rows:
+    the best under that restriction, with both frames left free.
+    """
+    m, final = outcome.measurements, outcome.stage("final")
+    judged, kind = scored(outcome)
+    first = next((k for k in leading(m) if k in judged_channels(outcome)), leading(m)[0])
+    part = columns(m.channels)[first]
+
+    def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
+        found = recentred(found)
+        left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
+        apart = left - final.residual[judged]
+        if not m.direct:
+            apart = (_predicted(found, m) - outcome.at_target.places)[judged]
+        return Export(name, files, _rms(left[:, part]), _rms(apart[:, :3]), found.model)
+
+    offsets = _offsets(outcome)
+    with_maps = _with_maps(outcome)
+    urdf = ("kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml")
+    exports = [
+        export("nominal", (), outcome.stage("nominal").fit),
+        export("joint offsets alone", ("joint_offsets.yaml",), offsets),
+        export("URDF alone", ("calibrated.urdf", *urdf), outcome.stage("geometric").fit),
+    ]
+    if with_maps is not None:
+        files = ("joint_maps.urdf", "joint_maps.csv")
+        exports.append(export("+ joint maps", files, with_maps))
+    own = by_region(outcome)
+    if own is not None:
+        exports.append(export(BY_REGION, (INDEX,), final.fit, own))
+    exports.append(export("full model", ("calibration.yaml",), final.fit))
+    found = dict(zip(offsets.model.names, offsets.theta, strict=True))
+    robot = outcome.robot
+    return Handover(
+        exports=tuple(exports),
+        rows=f"{int(judged.sum())} {kind}",
+        channel=m.channels[first],
+        offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
+        maps=_curves(outcome, with_maps) if with_maps is not None else {},
+        with_maps=with_maps,
+        calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
+        regions=own,
+    )
+
+
+def by_region(outcome: Outcome) -> Regions | None:
+    """Constants of each region; None where the whole workspace has the same."""
+    m = outcome.measurements
+    return regions(outcome.stage("final").fit, m, ~m.test & ~outcome.outlier, [e.effect for e in outcome.effects])
+
+
+def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
+    """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
+    robot = outcome.robot
+
+    def write(name: str, text: str, export: str, *notes: str) -> None:
+        lines = [*_statement(handover, export), *notes]
+        (folder / name).write_text("".join(f"# {line}\n" for line in lines) + text, encoding="utf-8")
+
+    for name, table in tables(robot, handover.calibrated).items():
+        write(name, table.text, "URDF alone", *table.notes)
+    text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
+    taken = [name for name in robot.readings if name not in handover.offsets]
+    write(
+        "joint_offsets.yaml", text, "joint offsets alone",
+        "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
+        *([f"Of {', '.join(taken)}: none, the base or the target takes it up."] if taken else []),
+    )  # fmt: skip
+    frames = {e.name: _frames(e.model) for e in handover.exports}
+    note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
+    (folder / "frames.yaml").write_text(note + yaml.safe_dump(frames, sort_keys=False, width=200), encoding="utf-8")
+    if handover.regions is not None:
+        (folder / INDEX).parent.mkdir()
+        for region in handover.regions.every:
+            write_urdf((folder / INDEX).with_name(f"{region.name}.urdf"), region.fit.model, region.fit.theta)
+        text = yaml.safe_dump(index_document(outcome, handover.regions), sort_keys=False, width=200)
+        unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
+        write(INDEX, text, BY_REGION, *(WHERE_HOLDS if handover.regions.by else WHOSE_HOLDS), unit)
+    if handover.with_maps is not None:
+        write_urdf(folder / "joint_maps.urdf", handover.with_maps.model, handover.with_maps.theta)
+        import pandas as pd  # slow to load, and few calibrations have maps
+
+        rows = [
+            pd.DataFrame({"joint": name, "reading": at, "correction": value})
+            for name, (at, value) in handover.maps.items()
+        ]
+        pd.concat(rows).to_csv(folder / "joint_maps.csv", index=False, float_format="%.12g")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Constants of `calibrated.urdf` as one kind of controller reads them.
+
+    Attributes:
+        text: YAML; of a robot of several limbs under ``limbs``, each by the link that it leads to.
+        notes: What is said above it.
+    """
+
+    text: str
+    notes: tuple[str, ...]
+
+
+def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
+    """Tables of link parameters, by file: of each limb from the base outwards, where it has them."""
+
+    def doty(before: Robot, after: Robot) -> Table:
+        return Table(doty_yaml(after), ())
+
+    def makers(before: Robot, after: Robot) -> Table:
+        return Table(kinematics_yaml(before, after), ())
+
+    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], Table]:
+        def made(before: Robot, after: Robot) -> Table:
+            table = make(after)
+            return Table(table.dump(), tuple(table.warnings))
+
+        return made
+
+    ways = {
+        "kinematics.yaml": makers, "dh.yaml": dh(standard_dh), "dh_modified.yaml": dh(modified_dh), "doty.yaml": doty,
+    }  # fmt: skip
+    return {name: _by_limb(make, nominal, calibrated) for name, make in ways.items()}
+
+
+def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
+    """A table of the chain, or of each limb."""
+    if not nominal.others:
+        return make(nominal, calibrated)
+    parts, notes = (
+        [],
+        [f"Of each limb, from {nominal.base} to the link that it is named by; joints that limbs share stand in each."],
+    )
+    for before, after in zip(nominal.limbs, calibrated.limbs, strict=True):
+        if not before.joints:
+            notes.append(
+                f"Of {before.tip} none: no joint moves between it and {before.base}; calibrated.urdf has where it is."
+            )
+        elif before.climbs:
+            notes.append(
+                f"Of {before.tip} none: the way from {before.base} climbs, and such tables are of chains outwards."
+            )
+        else:
+            table = make(before, after)
+            parts.append(f"  {before.tip}:\n{indent(table.text, '    ')}")
+            notes += [f"{before.tip}: {note}" for note in table.notes]
+    return Table("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
+
+
+def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
+    """Where each region's URDF holds, and what it leaves beside the one URDF and the full model."""
+    part = columns(outcome.channels)[leading(outcome.measurements)[0]]
+    left = {
+        "urdf_alone": outcome.stage("geometric").residual, "this_urdf": own.residual(outcome.measurements),
+        "full_model": outcome.stage("final").residual,
+    }  # fmt: skip
+    test = outcome.measurements.test & ~outcome.outlier
+
+    def entry(region: Region) -> dict[str, Any]:
+        held_out = region.rows & test
+        judged = held_out if held_out.any() else region.rows & ~outcome.outlier
+        errors = {name: _rms(residual[judged][:, part]) for name, residual in left.items() if judged.any()}
+        ends = {"middle": region.middle, "low": region.low, "high": region.high}
+        told = {name: dict(zip(own.by, values.tolist(), strict=True)) for name, values in ends.items()}
+        return {
+            "urdf": f"{region.name}.urdf",
+            **(told if region.label is None else {"label": region.label}),
+            "rows": {"all": int(region.rows.sum()), "held_out": int(held_out.sum())},
+            "error": errors,
+        }
+
+    scale = dict(zip(own.by, own.scale.tolist(), strict=True))
+    return {"format": 1, "scale": scale, "regions": {region.name: entry(region) for region in own.every}}
+
+
+def _statement(handover: Handover, name: str) -> list[str]:
+    """An export's own error in words."""
+    own = next(e for e in handover.exports if e.name == name)
+    channel = handover.channel
+    return [
+        f"{name}: {channel.scale * own.error:.3f} {channel.shown} RMS {channel.noun} on {handover.rows}, "
+        f"{1e3 * own.apart:.3f} mm from the full model there.",
+        f"All exports: {handover.summary()}.",
+    ]
+
+
+def _frames(model: Model) -> dict[str, dict[str, list[float]]]:
+    return {
+        where if label is None else f"{where}[{label}]": xyz_rpy(placement)
+        for where, frames in (("world_base", model.world_base), ("tip_target", model.tip_target))
+        for label, placement in frames
+    }
+
+
+def _rms(vectors: np.ndarray) -> float:
+    squares = np.sum(vectors**2, axis=1)
+    return float(np.sqrt(np.mean(squares[~np.isnan(squares)])))
+
+
+def _predicted(found: Fit, rows: Dataset) -> np.ndarray:
+    """Where a model has the targets, shape (N, 3), [m]."""
+    return found.model.poses(found.theta, problem(found.model, rows).rows)[1]
+
+
+def _asked(outcome: Outcome, model: Model) -> Problem:
+    """A model asked about some of the rows that the calibration was fitted to, at the noise that it found."""
+    m = outcome.measurements
+    rows = with_sigma(m.fitted.select(~outcome.outlier[m.train]), outcome.noise.tolist())
+    every = problem(model, rows)
+    return every.select(thin(every.rows, ROWS))
+
+
+def _offsets(outcome: Outcome) -> Fit:
+    """Both frames and the joints' zeros, nothing else."""
+    nominal = outcome.stage("nominal").fit.model
+    candidates = outcome.stage("geometric").fit.candidates
+    beside = {"world_base", "tip_target", *nominal.instruments.names}
+    frames = tuple(c for c in candidates if c.basis.constant and c.where in beside)
+    robot = outcome.robot
+    model = nominal.with_coefficients(
+        (*frames, *(Coefficient(name, "axis") for name in robot.readings if name in robot.names))
+    )
+    if not model.coefficients:
+        return outcome.stage("nominal").fit
+    return fit_identifiable(_asked(outcome, model), range(len(model.coefficients)))
+
+
+def _own(c: Coefficient) -> bool:
+    """True for what moves a joint along its axis as a function of its own position."""
+    return c.component == "axis" and c.basis.of == (c.where,)
+
+
+def _with_maps(outcome: Outcome) -> Fit | None:
+    """The constants that suit the joints' own curves when all other effects are left out."""
+    final, geometric = outcome.stage("final").fit, outcome.stage("geometric").fit
+    curves = [k for k, c in enumerate(final.model.coefficients) if _own(c)]
+    if not curves:
+        return None
+    coefficients = final.model.coefficients
+    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or is_zero(c, outcome.robot) or _own(c)]
+    if len(kept) == len(coefficients):
+        return final
+    model = final.model.with_coefficients([coefficients[k] for k in kept])
+    theta = final.theta[kept]
+    held = np.array([_own(c) for c in model.coefficients])
+    asked = _asked(outcome, model)
+    precision = FIRM * len(asked) / float(geometric.sigma.min()) ** 2
+    prior = Prior(theta, np.diag(np.where(held, precision, 0.0)))
+    return fit(asked, theta, np.ones(len(asked)), prior)
+
+
+def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Correction of each joint with a curve of its own, over the range measured; shape (points,) each."""
+    robot = outcome.robot
+    seen = robot.positions(outcome.measurements.readings)
+    curves = {}
+    for joint, at in zip(robot.joints, seen.T, strict=True):
+        own = [k for k, c in enumerate(found.model.coefficients) if _own(c) and c.where == joint.name]
+        if not own:
+            continue
+        order = max(
+            (c.basis.numbers[0] for k in own if (c := found.model.coefficients[k]).basis.form in ("sin", "cos")),
+            default=0.0,
+        )
+        count = max(MAP_POINTS, int(PER_WAVE * order * (np.nanmax(at) - np.nanmin(at)) / (2.0 * np.pi)) + 1)
+        points = np.linspace(np.nanmin(at), np.nanmax(at), count)
+        phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
+        curves[joint.name] = points, found.theta[own] @ phi
+    return curves

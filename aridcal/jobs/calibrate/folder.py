@@ -1,0 +1,419 @@
+"""The result folder: figures, URDFs, the whole model, and every row's residual (FORMATS section 3)."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal import __version__
+from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
+from aridcal.engine.fit.constants import is_zero
+from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.instruments.channels import columns
+from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.search.noise_causes import NoiseCause, NoiseCauses
+from aridcal.engine.trust.as_document import document
+from aridcal.engine.trust.certainty import as_document
+from aridcal.engine.trust.gains import NamedEffect
+from aridcal.engine.trust.iso9283 import document as iso_document
+from aridcal.jobs.calibrate.measuring_head import MeasuringHead
+from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification, errors
+from aridcal.jobs.calibrate.saving import calibration
+from aridcal.jobs.calibrate.urdf_files import write_urdf
+from aridcal.system.progress import SILENT, Progress
+from aridcal.system.reading.freed import give_back
+from aridcal.system.writing.table_writer import csv_lines
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+AT_ONCE = 20_000
+"""Rows that are written between two words of progress: half a second."""
+
+DIGITS = 9
+"""Of numbers in residuals.csv: a nanometre of a metre."""
+
+WHERE = ("world_base", "tip_target")
+
+
+def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Write every file of the result folder that needs no drawing.
+
+    Returns:
+        What readers of URDFs cannot read of the user's own file, in words.
+    """
+    (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
+    give_back()  # what the figures took: the scatter over all rows below takes as much again
+    written = {"calibrated.urdf": "geometric", **({"model.urdf": "final"} if outcome.effects else {})}
+    notices: list[str] = []
+    for name, stage in written.items():
+        fit = outcome.stage(stage).fit
+        notices += write_urdf(folder / name, fit.model, fit.theta)
+    (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
+    order = outcome.measurements.as_read
+    with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
+        file.write(",".join(residual_columns_of(outcome, order[:0])) + "\n")
+        for first in progress.through(range(0, len(order), AT_ONCE), len(order), "rows of residuals.csv", AT_ONCE):
+            file.write(csv_lines(residual_columns_of(outcome, order[first : first + AT_ONCE]), DIGITS))
+    if outcome.head is not None:
+        import pandas as pd  # slow to load, and other campaigns have no images
+
+        pd.DataFrame(outcome.head.fiducials).to_csv(folder / "fiducials.csv", index=False)
+    return tuple(dict.fromkeys(notices))
+
+
+def result_document(outcome: Outcome) -> dict[str, Any]:
+    """`result.json` as plain data."""
+    m = outcome.measurements
+    parts = outcome.parts()
+    return finite({
+        "format": 1,
+        "n": {
+            "rows": len(m) + len(m.origin.refused),
+            "used": len(m),
+            "train": int(parts["train"].sum()),
+            "test": int(parts["test"].sum()),
+            "outliers": int(outcome.outlier.sum()),
+            "refused": [
+                asdict(remark) for remark in m.origin.refused
+            ],
+            "outlier_rows": [
+                {"file": m.origin.files[m.origin.file[k]].name, "row": int(m.origin.line[k]), "why": why}
+                for k in m.as_read[outcome.outlier[m.as_read]]
+                for why in ["stale measurement" if m.repeats.doubtful[k] else "gross outlier"]
+            ],
+        },
+        "error": {
+            name: {part: errors(outcome.stage(name).residual, mask, outcome.channels) for part, mask in parts.items()}
+            for name in ("nominal", "geometric", "final")
+        },
+        "noise": {
+            **{c.key: c.scale * float(sigma) for c, sigma in zip(outcome.channels, outcome.noise, strict=True)},
+            "source": outcome.noise_source,
+            **({} if outcome.causes is None else noise_document(outcome.causes)),
+        },
+        "frames": frames(outcome.stage("final")),
+        "parameters": parameters(outcome.stage("geometric").fit),
+        "effects": [_effect(e, outcome) for e in outcome.effects],
+        **({"instruments": instruments(outcome)} if outcome.things else {}),
+        **({"head": _head(outcome.head, frames(outcome.stage("final")))} if outcome.head is not None else {}),
+        **_over_time(outcome),
+        **({} if outcome.iso is None else {"iso_9283": iso_document(outcome.iso, m)}),
+        **({} if outcome.second_look is None else document(outcome.second_look, m.fitted)),
+        **({} if outcome.certainty is None else {"workspace": as_document(outcome.certainty)}),
+        "verdict": outcome.verdict.word,
+        "unexplained_fraction": outcome.verdict.share,
+        "reasons": list(outcome.verdict.reasons),
+        "seconds": round(outcome.seconds, 3),
+        "version": __version__,
+        "convergence": {s.name: _convergence(s.fit) for s in outcome.stages},
+        **({"verification": _verification(outcome.verification)} if outcome.verification is not None else {}),
+        "notices": list(outcome.notices),
+    })  # fmt: skip
+
+
+CAUSES = {
+    "channel": "channels",
+    "joint": "joint_readings",
+    "range": "per_range",
+    "length": "per_length",
+    "sight": "about_line_of_sight",
+    "repeatability": "repeatability",
+    "direction": "in_world_axes",
+    "depth": "along_lines_of_sight",
+    "bearing": "across_lines_of_sight",
+    "own_axis": "in_target_axes",
+    "lever": "on_a_lever",
+}
+
+
+def noise_document(causes: NoiseCauses) -> dict[str, Any]:
+    """What the scatter is made of: of each kind, by name, its value with std and unit, and what explains it as well."""
+    found: dict[str, Any] = {}
+    for c in causes.causes:
+        rivals = [{"cause": CAUSES.get(r.kind, "joint_readings"), "name": r.name, **_noise_cause(r)} for r in c.rivals]
+        found.setdefault(CAUSES[c.kind], {})[c.name] = _noise_cause(c) | ({"or": rivals} if rivals else {})
+    return found
+
+
+def _noise_cause(c: NoiseCause) -> dict[str, Any]:
+    """One cause: its value, and what it lies along."""
+    said: dict[str, Any] = {"value": c.value, "std": c.std, "unit": c.unit}
+    shape = c.shape
+    if shape is None:
+        return said
+    if shape.vector is not None:
+        said["lever" if shape.kind == "lever" else "axis"] = shape.vector.tolist()
+    if shape.kind == "own_axis":
+        said["across"] = shape.across
+    if shape.point is not None:
+        said |= {"from": shape.point.tolist(), "distance": shape.typical, "power": shape.power}
+    return said
+
+
+def _over_time(outcome: Outcome) -> dict[str, Any]:
+    """The error with whole stretches of time held back, where an effect depends on time."""
+    found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
+    first = outcome.channels[0]
+    return {} if found is None else {"over_time": {first.key: {"rms": first.scale * found}}}
+
+
+def instruments(outcome: Outcome) -> dict[str, Any]:
+    """Every number of every thing that the rows refer to, by the plural of its role, its label and its component."""
+    found: dict[str, Any] = {}
+    for v in outcome.things:
+        numbers = found.setdefault(f"{v.role}s", {}).setdefault(v.name, {})
+        numbers[v.component] = {"value": v.value, "std": v.std, "unit": v.unit, "status": v.status}
+        if v.redundant_with:
+            numbers[v.component]["redundant_with"] = list(v.redundant_with)
+    return found
+
+
+def _verification(found: Verification) -> dict[str, Any]:
+    """Another day's rows: the errors of each stage, and of the last with the frames fitted anew."""
+    residuals = dict(found.residuals)
+    if found.realigned is not None:
+        residuals["realigned"] = found.realigned
+    return {
+        "file": found.file,
+        "rows": len(found.measurements),
+        **({"own_rows_left_out": found.copied} if found.copied else {}),
+        "outliers": int(found.outlier.sum()),
+        "error": {
+            name: errors(residual, ~found.outlier, found.measurements.channels) for name, residual in residuals.items()
+        },
+    }
+
+
+def frames(stage: Stage) -> dict[str, Any]:
+    """Identified frames: xyz [m], rpy [rad], and std as a twist in the frame's own axes."""
+    fit = stage.fit
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    found: dict[str, Any] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            name = where if label is None else f"{where}[{label}]"
+            found[name] = {
+                "xyz": placement.translation.tolist(),
+                "rpy": pin.rpy.matrixToRpy(placement.rotation).tolist(),
+                "std": [float(std.get(f"{name}.{c}", 0.0)) for c in FRAME_COMPONENTS],
+            }
+    return found
+
+
+def parameters(fit: Fit) -> list[dict[str, Any]]:
+    """Every candidate constant of the arm and its frames: its value, or those that it is confounded with.
+
+    A frame's constants are given as the frame's own xyz and rpy; all others as the correction of the nominal value.
+    """
+    value = dict(zip(fit.model.names, fit.theta, strict=True))
+    std = dict(zip(fit.model.names, fit.std, strict=True))
+    own: dict[str, float] = {}
+    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+        for label, placement in placements:
+            numbers = [*placement.translation, *pin.rpy.matrixToRpy(placement.rotation)]
+            name = where if label is None else f"{where}[{label}]"
+            own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
+    things = fit.model.instruments.names
+    robot = fit.model.robot
+    asked = [c for c in fit.candidates if (c.basis.constant or is_zero(c, robot)) and c.where not in things]
+    candidates = {c.name: c.component for c in asked}
+    turns = {c.name for c in asked if is_zero(c, robot) and robot.joint(c.where).kind != "prismatic"}
+    fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
+    found = []
+    for name, component in (candidates | fixed).items():
+        status = "identified" if name in value else "redundant" if name in candidates else "fixed"
+        found.append({
+            "name": name,
+            "unit": "rad" if name in turns or component in ANGULAR else "m",
+            "value": own.get(name, float(value.get(name, 0.0))),
+            "std": float(std[name]) if name in value else None,
+            "status": status,
+            "redundant_with": list(fit.redundant.get(name, ())),
+        })  # fmt: skip
+    return found
+
+
+def _head(head: MeasuringHead, found: Mapping[str, Any]) -> dict[str, Any]:
+    """The measuring head: mounting, numbers, and how far image points and ranges of single shots fit together."""
+    return {
+        "tip_camera": found["tip_target"],
+        "numbers": [asdict(n) | {"redundant_with": []} for n in head.numbers],
+        "misfit_within_shots": {"declared": head.misfit[0], "identified": head.misfit[1]},
+        "range_rms_mm": {
+            name: {f"sonar_{k + 1}": 1e3 * float(v) for k, v in enumerate(row)}
+            for name, row in zip(("declared", "identified"), head.ranges, strict=True)
+        },
+    }  # fmt: skip
+
+
+def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
+    fit, effect = outcome.stage("final").fit, named.effect
+    index = {name: k for k, name in enumerate(fit.model.names)}
+    joints = {j.name: j.kind for j in outcome.robot.joints}
+    found: dict[str, Any] = {"kind": effect.kind, "where": effect.where, "motion": list(effect.motion)}
+    if effect.order:
+        found["order"] = list(effect.order)
+    if effect.with_:
+        found["with"] = effect.with_
+    if effect.by:
+        found["by"] = effect.by
+    if effect.at is not None:
+        found["at"] = moment(effect.at, outcome.measurements)
+    turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
+    known = {}
+    for c in effect.coefficients:
+        if c.name in index:
+            k = index[c.name]
+            known[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
+    found |= {
+        "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
+        "coefficients": [
+            dict(zip(("name", "unit", "value", "std"), (c.name, *known[c.name]), strict=True))
+            for c in effect.coefficients
+        ],
+        "p_value": named.p_value,
+    }
+    for channel, part in zip(outcome.channels, columns(outcome.channels), strict=True):
+        found[f"{channel.name}_rms_{channel.shown}"] = _before_after(named, part, channel.scale)
+    found["confounded_with"] = [_short(e) for e in named.confounded_with]
+    found["declared"] = named.declared
+    return found
+
+
+def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
+    """Unit of what a coefficient moves: of the arm a length or an angle, of a camera perhaps pixels."""
+    things = fit.model.instruments
+    return things.unit(c.where, c.component) if c.where in things.names else "rad" if turns else "m"
+
+
+def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
+    """The first row after a step: its line, its file if there are several, its time if there is one."""
+    first = rows_around(step, rows)[1]
+    found: dict[str, Any] = (
+        {"file": rows.origin.files[rows.origin.file[first]].name} if len(rows.origin.files) > 1 else {}
+    )
+    found["row"] = int(rows.origin.line[first])
+    time = rows.covariates.get("time", np.full(len(rows), np.nan))[first]
+    return found | ({"time": float(time)} if np.isfinite(time) else {})
+
+
+def what_moved(effect: Effect, rows: Dataset) -> str:
+    """A step in words, ``world_base moved between rows 117 and 118``; empty for what always acts."""
+    if effect.at is None:
+        return ""
+    last, first = rows_around(effect.at, rows)
+    who = f"the zero of {effect.where}" if effect.motion == ("axis",) else effect.where
+    if rows.origin.file[last] == rows.origin.file[first]:
+        between = f"rows {rows.origin.line[last]} and {rows.origin.line[first]}"
+    else:
+        ends = (f"row {rows.origin.line[k]} of {rows.origin.files[rows.origin.file[k]].name}" for k in (last, first))
+        between = " and ".join(ends)
+    when = f" (from time {effect.at.numbers[0]:.6g} on)" if effect.at.of[0] == "time" else ""
+    return f"{who} moved between {between}{when}"
+
+
+def rows_around(step: Basis, rows: Dataset) -> tuple[int, int]:
+    """The last row before a step and the first after it."""
+    values = rows.conditions[step.of[0]]
+    last = np.where(values < step.numbers[0], values, -np.inf)
+    first = np.where(values >= step.numbers[0], values, np.inf)
+    return int(np.argmax(last)), int(np.argmin(first))
+
+
+def _before_after(named: NamedEffect, part: slice, scale: float) -> dict[str, float]:
+    """RMS of a channel on the held-out rows that measure it, without an effect and with it."""
+    found = {}
+    for name, r in (("before", named.before), ("after", named.after)):
+        squares = np.sum(r[:, part] ** 2, axis=1)
+        squares = squares[~np.isnan(squares)]
+        found[name] = scale * float(np.sqrt(np.mean(squares))) if len(squares) else math.nan
+    return found
+
+
+def _short(effect: Effect) -> dict[str, Any]:
+    named = {"kind": effect.kind, "where": effect.where, "with": effect.with_, "by": effect.by}
+    return {key: value for key, value in named.items() if value}
+
+
+def residual_table(outcome: Outcome) -> pd.DataFrame:
+    """The columns of ``residuals.csv``, one line per usable row."""
+    import pandas as pd  # slow to load: only where somebody wants a DataFrame
+
+    rows = outcome.measurements.as_read
+    return pd.DataFrame(residual_columns_of(outcome, rows), index=rows)
+
+
+def residual_columns_of(outcome: Outcome, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Of each row where it stands, its part and flags, and what each stage leaves, in SI and [px].
+
+    Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
+
+    Args:
+        outcome: Of all usable rows.
+        rows: Numbers of those that are asked for, in the order of the lines.
+    """
+    m = outcome.measurements
+    axes = residual_columns(m)
+    table: dict[str, Any] = {
+        "file": np.array([path.name for path in m.origin.files], dtype=object)[m.origin.file[rows]],
+        "row": m.origin.line[rows],
+        "split": np.where(m.test[rows], "test", "train"),
+        "weight": np.where(outcome.outlier[rows], 0.0, 1.0),
+        "outlier": outcome.outlier[rows].astype(int),
+        "stale": m.repeats.stale[rows].astype(int),
+        **_labels(m, rows),
+    }
+    for stage in outcome.stages:
+        label = stage.name.replace(" ", "_")
+        table |= {f"{label}_{axis}": column for axis, column in zip(axes, stage.residual[rows].T, strict=True)}
+    return {name: np.asarray(column) for name, column in table.items()}
+
+
+def residual_columns(m: Dataset) -> list[str]:
+    """Names of a residual's numbers: the axes of its channels, after the name of the block where there are several."""
+    if len(m.blocks) < 2:
+        return [axis for channel in m.channels for axis in channel.axes]
+    return [f"{block.name}_{axis}" for block in m.blocks for channel in block.channels for axis in channel.axes]
+
+
+def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
+    """What rows of several kinds say beside their numbers, as columns."""
+    if m.direct:
+        return {}
+    names = np.array([block.name for block in m.blocks])
+    own, refers = m.labels.block[rows], m.labels.refers[rows]
+    table: dict[str, Any] = {"block": names[own]}
+    for b, block in enumerate(m.blocks):
+        for k, role in enumerate(labelled(block.kind)):
+            column = table.setdefault(role.name, np.full(len(rows), "", dtype=object))
+            column[own == b] = refers[own == b, k]
+    return table if m.labels.target is None else table | {"target": m.labels.target[rows]}
+
+
+def _convergence(fit: Fit) -> dict[str, Any]:
+    """How well a stage's minimum was found."""
+    c = fit.convergence
+    tried = {"rank": len(fit.theta), "restarts": c.restarts, "restarts_agreed": c.agreed}
+    return {"converged": c.converged, "steps": c.steps, "gradient": c.gradient, "condition": c.condition} | tried
+
+
+def finite(value: Any) -> Any:
+    """JSON has no NaN: what could not be computed is null."""
+    if isinstance(value, dict):
+        return {key: finite(v) for key, v in value.items()}
+    if isinstance(value, list):
+        return [finite(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value

@@ -1,0 +1,61 @@
+"""URDFs written: the user's own file with a model's constants, once it says what the model says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.engine.corrections.effect import FRAMES
+from aridcal.engine.fit.constants import is_zero, origins_of, urdf_of
+from aridcal.engine.model.model import Model
+from aridcal.engine.robot.read_back import CLOSE, CONFIGURATIONS, Fault, NotReadBack, link_places, read_back
+from aridcal.engine.robot.tree import read_tree
+
+
+def write_urdf(file: Path, model: Model, theta: np.ndarray) -> tuple[str, ...]:
+    """Write a model's constants as URDF.
+
+    Args:
+        file: Where.
+        model: Its constants and zeros of joints go into the file; frames and effects do not.
+        theta: Its coefficients, shape (K,).
+
+    Returns:
+        What a reader cannot read of the user's own file, in words.
+
+    Raises:
+        NotReadBack: the file does not say what the model says; nothing is written.
+    """
+    origins = origins_of(model, theta)
+    urdf = urdf_of(model, theta)
+    notices = read_back(urdf, model.robot, origins, file.name)
+    _check_tips(file.name, model, theta, origins)
+    file.write_bytes(urdf)
+    return notices
+
+
+def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str, pin.SE3]) -> None:
+    """Make sure that the new origins have the end of every limb where the model itself has it, by its own kinematics.
+
+    Raises:
+        NotReadBack: naming the link.
+    """
+    robot = model.robot
+    tree = read_tree(robot.urdf, robot.path, robot.stated)
+    readings = np.random.default_rng(0).uniform(-1.0, 1.0, (CONFIGURATIONS, len(robot.readings)))
+    moved = dict(zip(robot.names, robot.positions(readings).T, strict=True))
+    places = link_places(tree, {name: np.zeros(CONFIGURATIONS) for name in tree.moves} | moved, origins)
+    constant = [c.where not in FRAMES and (c.basis.constant or is_zero(c, robot)) for c in model.coefficients]
+    for limb in robot.limbs:
+        joints = {*limb.names, *(fixed.name for gap in limb.fixed for fixed in gap)}
+        own = [k for k, c in enumerate(model.coefficients) if constant[k] and c.where in joints]
+        arm = Model(limb, tuple(model.coefficients[k] for k in own))
+        R, p = arm.poses(theta[own], arm.rows(readings[:, robot.columns_of(limb)]))
+        T = np.linalg.inv(places[limb.base]) @ places[limb.tip]
+        off = max(float(np.abs(T[:, :3, :3] - R).max()), float(np.abs(T[:, :3, 3] - p).max()))
+        if not off <= CLOSE * max(1.0, float(np.abs(p).max())):
+            fault = Fault(f"has link {limb.tip!r} elsewhere, by {off:.2g} m or rad", limb.tip)
+            raise NotReadBack(file, "the model", fault)

@@ -1,0 +1,173 @@
+"""A fleet computed: what is there already, what is to be done, and its table, whatever stops it."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone
+from aridcal.jobs.fleet.keys import Inputs
+from aridcal.jobs.fleet.members import Member
+from aridcal.jobs.fleet.run_record import DONE, FAILED, Row, failed_row, row_in
+from aridcal.jobs.fleet.run_table import latest, merged, read_rows, write_rows
+from aridcal.jobs.fleet.work import Task, Write, calibrated, inputs_at
+from aridcal.system.errors import shortened
+from aridcal.system.progress import Progress
+
+SAVE_EVERY = 60.0
+"""[s] between two writings of the table while robots are computed: what is lost of it with a kill is in their own folders."""
+
+
+@dataclass(frozen=True)
+class Ran:
+    """What became of a fleet.
+
+    Attributes:
+        rows: All of its table, earlier runs too, the oldest first.
+        now: The last row of each robot asked for; of those that remain the one before, if there is one.
+        kept: Robots that were there already.
+        failed: Robots that failed, with why.
+        remaining: Robots that were not computed.
+        gone: Why not; empty if all were.
+    """
+
+    rows: tuple[Row, ...]
+    now: dict[str, Row]
+    kept: tuple[str, ...]
+    failed: dict[str, str]
+    remaining: tuple[str, ...]
+    gone: str
+
+
+@dataclass(frozen=True)
+class Planned:
+    """What is to be done for a fleet.
+
+    Attributes:
+        fleet: Its robots.
+        out: Its folder.
+        rows: Of its table, with what killed runs have left.
+        known: Rows of robots that need not be computed, or cannot be.
+        tasks: The others, by their names on a cluster.
+        inputs: Of every robot.
+    """
+
+    fleet: tuple[Member, ...]
+    out: Path
+    rows: tuple[Row, ...]
+    known: dict[str, Row]
+    tasks: dict[str, Task]
+    inputs: dict[str, Inputs]
+
+
+def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress) -> Planned:
+    """Find the robots whose folder does not hold their result.
+
+    Args:
+        fleet: Its robots.
+        out: Its folder, claimed by the caller.
+        write: Writes a result folder.
+        progress: Told how far it is.
+
+    Raises:
+        OutputError: what stands in the table's place is none.
+    """
+    progress("looking at what is there")
+    rows = merged(read_rows(out), _taken_up(out))
+    known: dict[str, Row] = {}
+    tasks: dict[str, Task] = {}
+    asked: dict[str, Inputs] = {}
+    for member in progress.over(fleet, "robots"):
+        folder = out.absolute() / member.name
+        inputs, campaign, why = inputs_at(member.campaign)
+        asked[member.name] = inputs
+        there = row_in(folder)
+        if campaign is None:
+            known[member.name] = failed_row(member.name, member.campaign, inputs, why, 0.0, None)
+        elif there is not None and there["key"] == inputs.key:
+            known[member.name] = there
+        else:
+            tasks[task_name(member.name, folder, inputs.key)] = Task(
+                member.name, str(member.campaign), str(folder), inputs.key, write
+            )
+    return Planned(tuple(fleet), out, tuple(merged(rows, known.values())), known, tasks, asked)
+
+
+def computed(plan: Planned, engine: Engine, progress: Progress) -> Ran:
+    """Calibrate the robots that a plan has tasks for.
+
+    The table is written before, every minute and after, also if the work is stopped.
+
+    Args:
+        plan: What is to be done.
+        engine: Does it.
+        progress: Told how far it is.
+
+    Raises:
+        OutputError: the table cannot be written.
+    """
+    rows, done = list(plan.rows), dict(plan.known)
+    gone, saved = "", time.monotonic()
+    told = _Told(len(plan.tasks), progress)
+    write_rows(rows, plan.out)
+    try:
+        for name, answer in engine(calibrated, plan.tasks):
+            robot, campaign = plan.tasks[name].robot, Path(plan.tasks[name].campaign)
+            if isinstance(answer, Broken):
+                answer = failed_row(robot, campaign, plan.inputs[robot], answer.why, 0.0, None)
+            done[robot] = answer
+            rows = merged(rows, [answer])
+            told(answer)
+            if time.monotonic() - saved > SAVE_EVERY:
+                write_rows(rows, plan.out)
+                saved = time.monotonic()
+    except EngineGone as problem:
+        gone = str(problem)
+    finally:
+        write_rows(rows, plan.out)
+    last = latest(rows)
+    return Ran(
+        rows=tuple(rows),
+        now={m.name: last[m.name] for m in plan.fleet if m.name in last} | done,
+        kept=tuple(name for name, row in plan.known.items() if row["status"] == DONE),
+        failed={name: row["error"] for name, row in sorted(done.items()) if row["status"] == FAILED},
+        remaining=tuple(m.name for m in plan.fleet if m.name not in done),
+        gone=gone,
+    )
+
+
+def task_name(robot: str, folder: Path, key: str) -> str:
+    """What a task is called on a cluster: other fleets on it have other names for the same robot."""
+    return f"aridcal-{hashlib.sha256(f'{robot} {folder} {key}'.encode()).hexdigest()}"
+
+
+def _taken_up(out: Path) -> list[Row]:
+    """Rows of all result folders in a fleet's: a run that was killed has not brought them into the table."""
+    folders = sorted(path for path in out.iterdir() if path.is_dir()) if out.is_dir() else []
+    return [row for row in map(row_in, folders) if row is not None]
+
+
+class _Told:
+    """Progress over the robots that are computed: done, failed, how much longer.
+
+    Args:
+        total: How many are to be computed.
+        progress: Told of it.
+    """
+
+    def __init__(self, total: int, progress: Progress) -> None:
+        self._total, self._progress = total, progress
+        self._done = self._failed = 0
+        if total:
+            progress(f"calibrating {total:,} robots")
+
+    def __call__(self, row: Row) -> None:
+        self._done += 1
+        if row["status"] == FAILED:
+            self._failed += 1
+            self._progress.note(f"{row['robot']} failed: {shortened(row['error'].splitlines()[0], 200)}")
+        failed = f", {self._failed:,} failed" if self._failed else ""
+        self._progress.part(self._done, self._total, f"robots{failed}")

@@ -1,0 +1,276 @@
+r"""Fleets over time: which constants of which robots drift or jump, false alarms of a whole season being stated.
+
+Every constant of every robot is a series (:mod:`aridcal.jobs.history.trend`), compared in one gauge: a robot's runs count as
+one series where they have the same nominal URDF and told the same constants, for then the same ones stayed at their nominal
+value and what is not told went to the same places. Runs in another gauge are named, and left out. Base and target are no
+constants of the arm.
+
+The smallest p-value of all series is judged as one of many (Bonferroni 1936):
+
+.. math:: p_{fleet} = S \max(n, 12)\, p
+
+with S series and n runs of the robot: who looks once a month looks so often in a year, and an alarm at any of these times
+counts. Of seasons in which nothing changes at most :data:`FALSE_ALARMS` have an alarm anywhere in the fleet.
+
+Calibrations may scatter more than their sigma says: the target was put on anew, the hall was warm. How much more is taken from
+the whole fleet, for each constant: the median over robots of the squares that a constant and a cycle leave, over the median of
+chi squared. Of few robots all constants are taken together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import chi2
+
+from aridcal.jobs.history.store import Runs
+from aridcal.jobs.history.trend import FEWEST, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS
+from aridcal.system.errors import AridcalError, nearest
+from aridcal.system.wording import number
+
+LOOKS = 12
+"""Times at the least that a season is looked at: once a month."""
+
+ENOUGH = 8
+"""Robots of which the scatter, or the cycle, of one constant is known by itself: a median of eight is good to 40 %."""
+
+MAD = 1.4826
+"""Times the median of absolute deviations: the sigma of a normal distribution."""
+
+LEAST_CYCLE = 0.3
+"""Share of the usual sigma of a fitted cycle by which cycles of robots differ at the least: a fleet's median is no better
+known."""
+
+DAY_ZERO = pd.Timestamp("1970-01-01")
+"""Of all days that are counted."""
+
+
+@dataclass(frozen=True)
+class Watched:
+    """One constant of one robot.
+
+    Attributes:
+        robot: Its name.
+        name: Of the constant.
+        unit: m or rad.
+        series: Its values; ``std`` with the fleet's scatter.
+        shows: What it shows.
+        p_value: Of a change, for all series of the fleet and all looks of a season.
+        p_any: The same with a yearly cycle counted as one.
+        change: What changed; None without an alarm.
+    """
+
+    robot: str
+    name: str
+    unit: str
+    series: Series
+    shows: Evidence
+    p_value: float
+    p_any: float
+    change: Change | None
+
+    @property
+    def alarm(self) -> bool:
+        """Whether it changed, and no yearly cycle explains that."""
+        return self.change is not None
+
+    @property
+    def cycles(self) -> bool:
+        """Whether it moved in a way that a yearly cycle explains as well: nobody can tell yet."""
+        return not self.alarm and self.p_any < FALSE_ALARMS
+
+
+@dataclass(frozen=True)
+class RobotHistory:
+    """One robot.
+
+    Attributes:
+        name: Of the robot.
+        runs: Its rows of :attr:`Runs.runs`.
+        errors: Its rows of :attr:`Runs.errors`, with ``measured``.
+        watched: Its constants, the likeliest change first.
+        notices: What is to be known of it.
+    """
+
+    name: str
+    runs: pd.DataFrame
+    errors: pd.DataFrame
+    watched: tuple[Watched, ...]
+    notices: tuple[str, ...]
+
+    @property
+    def alarms(self) -> tuple[Watched, ...]:
+        """Constants that changed."""
+        return tuple(w for w in self.watched if w.alarm)
+
+    @property
+    def cycles(self) -> tuple[Watched, ...]:
+        """Constants that may go with the season."""
+        return tuple(w for w in self.watched if w.cycles)
+
+    def error(self, stage: str) -> tuple[str, np.ndarray]:
+        """RMS of the first channel on held-out rows, run by run, and the channel's name; NaN where a run has none."""
+        own = self.errors[self.errors["stage"] == stage]
+        if not len(own):
+            return "", np.zeros(0)
+        channel = str(own["channel"].iloc[0])
+        return channel, own.loc[own["channel"] == channel, "rms"].to_numpy(dtype=float)
+
+    def last_error(self, stage: str) -> str:
+        """The last of these, with its unit; a dash where there is none."""
+        channel, errors = self.error(stage)
+        return f"{number(float(errors[-1]))} {channel.rsplit('_', 1)[-1]}" if len(errors) else "–"
+
+    @property
+    def last_day(self) -> str:
+        """Date of the last run."""
+        return str(self.runs["measured"].max().strftime("%Y-%m-%d"))
+
+
+@dataclass(frozen=True)
+class History:
+    """A fleet over time.
+
+    Attributes:
+        robots: The worst first.
+        series: How many series were looked at.
+        scatter: Times its sigma that each constant scatters by.
+        files: That were read.
+    """
+
+    robots: tuple[RobotHistory, ...]
+    series: int
+    scatter: Mapping[str, float]
+    files: tuple[str, ...]
+
+
+def history(of: Runs, only: str | None = None) -> History:
+    """Look at every robot's constants over time.
+
+    Args:
+        of: All runs.
+        only: The one robot to be shown; the others count as much for its alarms.
+
+    Raises:
+        AridcalError: there is no such robot.
+    """
+    names = sorted(set(of.runs["robot"]))
+    if only is not None and only not in names:
+        raise AridcalError(f"{only}: no robot of this name was calibrated{nearest(only, names)}")
+    constants: dict[Any, pd.DataFrame] = dict(iter(of.constants.groupby("run", sort=False)))
+    robots = {}
+    for name, runs in of.runs.groupby("robot", sort=True):
+        kept, notices = _one_gauge(runs, constants)
+        robots[str(name)] = (runs, _series(kept, constants), notices)
+    every = [(name, constant, unit, series) for name, (_, own, _) in robots.items() for constant, unit, series in own]
+    scatter = _scatter(every)
+    every = [(r, c, unit, replace(s, std=scatter[c] * s.std)) for r, c, unit, s in every]
+    cycles = _cycles(every)
+    watched: dict[str, list[Watched]] = {name: [] for name in robots}
+    for robot, constant, unit, series in every:
+        watched[robot].append(_watched(robot, constant, unit, series, len(every), cycles.get(constant)))
+    found = []
+    for name, (runs, _, notices) in robots.items():
+        errors = of.errors.merge(runs[["run", "measured"]], on="run")
+        own = sorted(watched[name], key=lambda w: (w.p_value, w.shows.p_value, w.p_any))
+        found.append(RobotHistory(name, runs, errors, tuple(own), tuple(notices)))
+    found.sort(key=_badness)
+    shown = [robot for robot in found if only in (None, robot.name)]
+    return History(tuple(shown), len(every), scatter, tuple(map(str, of.files)))
+
+
+def _badness(robot: RobotHistory) -> tuple[int, float, int, float, str]:
+    """What robots are sorted by: alarms, the surest first, then what may be the season, then their last error."""
+    _, errors = robot.error("final")
+    last = float(errors[-1]) if len(errors) and np.isfinite(errors[-1]) else 0.0
+    least = min((w.shows.p_value for w in robot.alarms), default=1.0)
+    return -bool(robot.alarms), least, -bool(robot.cycles), -last, robot.name
+
+
+def _one_gauge(runs: pd.DataFrame, constants: Mapping[Any, pd.DataFrame]) -> tuple[pd.DataFrame, list[str]]:
+    """Runs of one robot that can be compared, and what is to be said of the others."""
+    failed = runs[runs["status"] != "done"]
+    notices = [f"{len(failed)} of {len(runs)} runs failed: {failed['error'].iloc[-1]}"] if len(failed) else []
+    done = runs[runs["status"] == "done"]
+    gauges: dict[tuple[str, frozenset[str]], list[int]] = {}
+    for place, (run, urdf) in enumerate(zip(done["run"], done["urdf"], strict=True)):
+        own = constants.get(run)
+        told = frozenset(own["name"]) if own is not None else frozenset()
+        gauges.setdefault((str(urdf), told), []).append(place)
+    if not gauges:
+        return done, notices
+    most = max(gauges.values(), key=lambda places: (len(places), places[-1]))
+    if len(most) < len(done):
+        notices.append(
+            f"{len(done) - len(most)} of {len(done)} runs told other constants, or were of another nominal URDF: their constants "
+            "stand for other motions and are not compared; measure the same configurations every time"
+        )
+    return done.iloc[most], notices
+
+
+def _series(runs: pd.DataFrame, constants: Mapping[Any, pd.DataFrame]) -> list[tuple[str, str, Series]]:
+    """The constants of some runs over time: name, unit, values."""
+    tables = [constants[run] for run in runs["run"] if run in constants]
+    if len(tables) < 2:
+        return []
+    day = ((runs["measured"] - DAY_ZERO) / pd.Timedelta(days=1)).to_numpy(dtype=float)
+    first = tables[0]
+    values, stds = (
+        np.array([table.set_index("name")[column].reindex(first["name"]).to_numpy(dtype=float) for table in tables])
+        for column in ("value", "std")
+    )
+    return [
+        (str(name), str(unit), Series(day, values[:, k], stds[:, k]))
+        for k, (name, unit) in enumerate(zip(first["name"], first["unit"], strict=True))
+    ]
+
+
+def _scatter(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, float]:
+    """Times its sigma that each constant scatters by, never below 1."""
+    ratios: dict[str, list[float]] = {}
+    for _, constant, _, series in every:
+        squares, freedom = evidence(series).squares
+        if freedom > 0:
+            ratios.setdefault(constant, []).append(squares / float(chi2.median(freedom)))
+    pooled = [ratio for own in ratios.values() for ratio in own]
+    together = float(np.median(pooled)) if pooled else 1.0
+    return {
+        constant: float(
+            np.sqrt(max(1.0, np.median(own) if len(own := ratios.get(constant, [])) >= ENOUGH else together))
+        )
+        for constant in {constant for _, constant, _, _ in every}
+    }
+
+
+def _cycles(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cycle]:
+    """What the robots of the fleet have in common of the yearly cycle of each constant, where there are enough of them."""
+    fitted: dict[str, list[np.ndarray]] = {}
+    for _, constant, _, series in every:
+        if len(series.day) >= FEWEST:
+            A = with_cycle(series.day) / series.std[:, None]
+            inverse = np.linalg.pinv(A)
+            theta, std = inverse @ (series.value / series.std), np.sqrt(np.sum(inverse**2, axis=1))
+            fitted.setdefault(constant, []).append(np.concatenate([theta[1:], std[1:]]))
+    found = {}
+    for constant, own in fitted.items():
+        if len(own) >= ENOUGH:
+            values = np.array(own)
+            mean, noise = np.median(values[:, :2], axis=0), np.median(values[:, 2:], axis=0)
+            seen = MAD * np.median(np.abs(values[:, :2] - mean), axis=0)
+            spread = np.sqrt(np.maximum(seen**2 - noise**2, (LEAST_CYCLE * noise) ** 2))
+            found[constant] = Cycle((float(mean[0]), float(mean[1])), (float(spread[0]), float(spread[1])))
+    return found
+
+
+def _watched(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> Watched:
+    """One series, judged as one of so many."""
+    shows = evidence(series)
+    looks = count * max(len(series.day), LOOKS)
+    p_value, p_any = min(1.0, looks * shows.p_value), min(1.0, looks * shows.p_any)
+    change = dated(series, cycle) if p_value < FALSE_ALARMS else None
+    return Watched(robot, constant, unit, series, shows, p_value, p_any, change)

@@ -1,0 +1,162 @@
+"""What a check and a repair found, in words for the screen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from aridcal.files.counting import counting
+from aridcal.files.measurement_settings import MeasurementSettings
+from aridcal.jobs.calibrate.outcome import said
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
+from aridcal.jobs.maintain.checking import Cause, Checked
+from aridcal.jobs.maintain.outcomes import RepairOutcomes
+from aridcal.jobs.maintain.repair import Change
+from aridcal.system.wording import enumerated
+
+FAR_OFF = 0.03
+"""[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
+then off by up to a thirtieth."""
+
+MILLI = 1e3
+"""[mm] in a metre, [mrad] in a radian."""
+
+
+def check_lines(checked: Checked, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
+    """The answer of `aridcal check`, the verdict first; before it temperatures that the calibration did not see.
+
+    Args:
+        checked: What the rows say.
+        changes: By how much each of what moved did so.
+        settings: Of the campaign's tables: units, for a configuration to measure.
+    """
+    rows, error = checked.rows, checked.error
+    every = np.ones(len(rows), dtype=bool)
+    expected = " and ".join(
+        f"{c.scale * s:.3g} {c.shown}"
+        for c, s, seen in zip(rows.channels, checked.noise.sigma, np.atleast_1d(rows.measures.any(axis=0)), strict=True)
+        if seen
+    )
+    left = f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis"
+    lines = [*_heat_line(checked), _verdict(checked), left if error is None else f"{left}; {_error(error)}"]
+    if checked.unseen:
+        lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
+    for change in changes:
+        if change.cause.kind == "new":
+            lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
+    by_cause = {id(change.cause): change for change in changes}
+    for cause in checked.causes:
+        lines += _cause_lines(checked, cause, by_cause.get(id(cause)), settings)
+    if checked.causes:
+        left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
+        lines.append(f"what remains {left} ({checked.rest.words})")
+    return lines
+
+
+def left_out_line(made: RepairOutcomes) -> str:
+    """The errors of the new rows before, after, and with what moved fitted to the others alone."""
+    m = made.rows.measurements
+    every = ~made.rows.outlier & ~m.test
+    after = made.rows.stage("final").residual
+    before, now, left = (
+        said(residual, every, m) for residual in (made.rows.stage("before").residual, after, made.left_out)
+    )
+    held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
+
+
+def _heat_line(checked: Checked) -> list[str]:
+    """That the rows were measured at temperatures that the calibration did not see, and what that alone does."""
+    heat = checked.heat
+    if heat is None:
+        return []
+    low, high = (f"{value:.4g}" for value in heat.rows)
+    here = low if low == high else f"{low} to {high}"
+    return [
+        f"{heat.column} {here}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K more or "
+        f"less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more than that: "
+        "check at the calibration's own temperature before anything is mended"
+    ]
+
+
+def _error(error: Bounds) -> str:
+    """The model's own error, noise taken off."""
+    what = "RMS" if error.axes > 1 else "RMS along what was measured"
+    return (
+        f"the model's own error there is {MILLI * error.estimate:.3f} mm {what}, between {MILLI * error.low:.3f} and "
+        f"{MILLI * error.high:.3f} mm"
+    )
+
+
+def _verdict(checked: Checked) -> str:
+    """Yes or no, and how often that is wrong."""
+    odd = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
+    if checked.tolerance is None:
+        return f"no longer good: {odd}" if checked.contradicted else f"still good: {odd}"
+    limit = f"{MILLI * checked.tolerance:g} mm"
+    if not checked.good:
+        return f"no longer good: the error is above {limit} ({odd})"
+    if checked.contradicted:
+        return f"good enough: the error may be within {limit}, though something moved ({odd})"
+    sure = "is" if checked.error is not None and checked.error.high <= checked.tolerance else "may be"
+    return f"still good: the error {sure} within {limit} ({odd})"
+
+
+def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
+    """One cause: what, by how much, how sure, and what would tell it from another."""
+    how = f" (probability {_percent(cause.probability)})"
+    if change is None:
+        return [f"odd: {cause.words}{how}"]
+    lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
+    depending = any(not c.basis.always for c in checked.wide.model.coefficients)
+    if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
+        lines.append(
+            "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, "
+            "and the calibration holds as it is"
+        )
+    if cause.alike:
+        lines.append(f"  these rows would also allow: {', '.join(cause.alike)}")
+        robot = checked.wide.model.robot
+        if not cause.telling:
+            lines.append("  no configuration of those tried tells them apart: either repair serves")
+        for told in cause.telling[:1]:
+            cells = counting(settings, robot.readings, robot.kinds).cells(told.readings)
+            pairs = zip(robot.readings, cells.tolist(), strict=True)
+            at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
+            what = "this" if checked.rows.direct else "the target's place here"
+            lines.append(f"  measure {what} to tell it from {told.suspect}: {at}")
+            if told.joints:
+                lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")
+    return lines
+
+
+def amount(change: Change, checked: Checked) -> str:
+    """By how much something moved."""
+    value, std = change.value, change.std
+    if change.cause.kind == "zero":
+        unit = "mm" if change.units[0] == "m" else "mrad"
+        return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
+    if change.cause.kind in ("frame", "new"):
+        parts = []
+        for unit, shown in (("m", "mm"), ("rad", "mrad")):
+            own = [u == unit for u in change.units]
+            if any(own):
+                size, sure = (MILLI * float(np.linalg.norm(each[own])) for each in (value, std))
+                parts.append(f"{size:.3f} ± {sure:.3f} {shown}")
+        return " and ".join(parts)
+    suspect = change.cause.suspect
+    assert suspect is not None
+    before = checked.wide.theta[suspect.touched]
+    return f"{_percent(float(np.linalg.norm(value) / np.linalg.norm(before)))} of its size"
+
+
+def _percent(share: float) -> str:
+    """A share with as many digits as tell it from 1."""
+    return (
+        f"{100 * share:.3g} %"
+        if share < 0.995
+        else f"{min(100 * share, 99.9):.1f} %"
+        if share <= 1
+        else f"{100 * share:.0f} %"
+    )

@@ -1,0 +1,294 @@
+"""Is a calibration still good, and if not, what moved: a joint's zero, the tool, the base, one effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from aridcal.engine.fit.problem import problem
+from aridcal.engine.instruments.channels import spread
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.engine.trust.coverage import ASIDE, EXPANSION, beyond_heat
+from aridcal.engine.trust.wander import Wandering, wandering
+from aridcal.files.campaign import Frames
+from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
+from aridcal.jobs.maintain.ambiguity import Telling, alike, telling
+from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
+from aridcal.jobs.maintain.hypotheses import Suspect, suspects, widened
+from aridcal.jobs.maintain.likelihoods import TIMES, Alarm, Question, alarm, evidence, likely, taken_up
+from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
+from aridcal.jobs.maintain.unknowns import Wide, wide_of
+from aridcal.system.errors import MeasurementError
+
+MOST_CAUSES = 4
+"""Things that may have moved together: the instrument, the tool and a joint after a crash, and one gross row."""
+
+GROSS = tuple((10.0 ** np.arange(1.0, 4.1, 0.5)).tolist())
+"""Sigmas by which one row may be off by itself: a slip of the target or of the table."""
+
+FREE = 10.0
+"""Times its most likely size that a change may have once it is accepted: it is then measured, not guessed."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """Something that moved, or that is odd with the rows.
+
+    Attributes:
+        kind: ``zero``, ``frame``, ``effect``, ``row`` or ``noise``.
+        where: The joint, the frame, or the line of the file.
+        words: What it is called.
+        probability: Of this cause, given that there is one more.
+        suspect: What moved; None for rows and noise.
+        size: Of its prior once it was accepted.
+        alike: Others that these rows do not refute, in words, the best first.
+        telling: Configurations that would tell it from some of these.
+    """
+
+    kind: str
+    where: str
+    words: str
+    probability: float
+    suspect: Suspect | None = None
+    size: float = 0.0
+    alike: tuple[str, ...] = ()
+    telling: tuple[Telling, ...] = ()
+
+
+@dataclass(frozen=True)
+class Heat:
+    """Temperatures of rows that the calibration did not see.
+
+    Attributes:
+        column: Where they are recorded.
+        rows: Lowest and highest of the rows.
+        seen: Lowest and highest that the calibration saw.
+        beyond: How far the farthest row is outside of that, [K].
+        growth: By how much an arm of this length grows then, [m].
+    """
+
+    column: str
+    rows: tuple[float, float]
+    seen: tuple[float, float]
+    beyond: float
+    growth: float
+
+
+@dataclass(frozen=True)
+class Checked:
+    """What new rows say of a calibration.
+
+    Attributes:
+        rows: The rows.
+        wide: The final model with every constant that may have moved, and with all that only these rows tell.
+        noise: That the rows were expected to have.
+        residual: Measured minus predicted, shape (N, m), in the channels' units, what only these rows tell fitted; NaN in
+            channels that a row does not measure.
+        first: Whether they contradict it.
+        causes: What explains that, the most telling first; none without an alarm.
+        rest: Whether anything is left once these are allowed for.
+        question: The rows with these allowed for.
+        error: The model's own error; None where no lengths were measured.
+        tolerance: [m], if one was given.
+        unknowns: What of the wide model only these rows tell.
+        unseen: Suspects that these rows cannot show, whatever moved.
+        heat: Temperatures that the calibration did not see, if any.
+    """
+
+    rows: Dataset
+    wide: SolvedModel
+    noise: Noise
+    residual: np.ndarray
+    first: Alarm
+    causes: tuple[Cause, ...]
+    rest: Alarm
+    question: Question
+    error: Bounds | None
+    tolerance: float | None
+    unknowns: Wide
+    unseen: tuple[Suspect, ...] = ()
+    heat: Heat | None = None
+
+    @property
+    def moved(self) -> tuple[Cause, ...]:
+        """Causes that are of the robot or its frames."""
+        return tuple(cause for cause in self.causes if cause.suspect is not None)
+
+    @property
+    def contradicted(self) -> bool:
+        """True where the rows contradict the calibration."""
+        return self.first.p_value < FALSE_ALARMS
+
+    @property
+    def good(self) -> bool:
+        """True where nothing has moved; with a tolerance where the error may be within it."""
+        if self.tolerance is None or self.error is None:
+            return not self.contradicted
+        return self.error.low <= self.tolerance
+
+
+def asked(
+    wide: SolvedModel,
+    rows: Dataset,
+    noise: Noise,
+    unknown: np.ndarray | None = None,
+    wandering: Wandering | None = None,
+) -> Question:
+    """New rows as a question to a wide model; those that are held out do not count.
+
+    Args:
+        wide: K coefficients.
+        rows: N rows.
+        noise: Of their channels.
+        unknown: Coefficients of which only these rows tell, shape (K,) bool; default: none.
+        wandering: What the model may leave that neighbouring rows share; None: nothing.
+    """
+    scale, tails = noise.core
+    held_out = rows.test if rows.origin.split_given else np.zeros(len(rows), dtype=bool)
+    numbers = np.array([channel.size for channel in rows.channels])
+    return Question(
+        problem=problem(wide.model, rows),
+        theta=wide.theta,
+        covariance=wide.covariance,
+        sigma=spread(scale, rows.channels),
+        freedom=freedom_of(noise, rows.measures[~held_out].sum(axis=0) * numbers),
+        times=1.0,
+        dropped=held_out,
+        begin=wide.theta,
+        unknown=np.zeros(len(wide.theta), dtype=bool) if unknown is None else unknown,
+        tails=tails,
+        wandering=wandering,
+    )
+
+
+def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, frames: Frames | None = None) -> Checked:
+    """Set new rows beside a calibration, and name what moved.
+
+    Args:
+        saved: The calibration.
+        rows: See :func:`aridcal.jobs.maintain.new_rows.read_new_rows`.
+        tolerance: Largest RMS position error that is still good, [m].
+        frames: Of a campaign of the rows' own, where they have one: frames that it names are not as calibrated.
+
+    Raises:
+        CovariateNotFound: an effect depends on a column that was not measured.
+        CampaignError: nothing is known of the noise, or a frame is named of which there are several.
+        MeasurementError: a row's station is none of those that were calibrated, nothing can be said of a tolerance, or rows
+            cannot tell where something is that nobody knows.
+    """
+    noise = known_noise(saved, rows, other=frames is not None)
+    rows = replace(rows, covariates=saved.completed(rows.covariates, len(rows)))
+    unknowns = wide_of(widened(saved.doubted), rows, frames)
+    wide = unknowns.solved
+    shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
+    start = question = asked(wide, rows, noise, unknowns.unknown, shared)
+    every, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
+    first = rest = alarm(question, every)
+    causes: list[Cause] = []
+    left = list(every)
+    while rest.p_value < FALSE_ALARMS and len(causes) < MOST_CAUSES:
+        cause, question = _next(saved, unknowns, question, left, rows)
+        causes.append(cause)
+        left = [s for s in left if s is not cause.suspect]
+        rest = alarm(question, left)
+    residual = start.problem.residual(with_unknowns(start))
+    taken = taken_up(start.at(wide.theta)[1][:, unknowns.unknown])
+    error = error_of(rows, residual, noise.sigma, ~start.dropped, taken)
+    if tolerance is not None and error is None:
+        raise MeasurementError(
+            f"{rows.title}: a tolerance is of lengths, and these rows measure none; check without --tolerance, or measure "
+            "positions, points, distances or planes"
+        )
+    return Checked(
+        rows,
+        wide,
+        noise,
+        residual,
+        first,
+        tuple(causes),
+        rest,
+        question,
+        error,
+        tolerance,
+        unknowns,
+        unseen,
+        _heat(saved, rows),
+    )
+
+
+def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
+    """The column of temperatures that is farthest from what the calibration saw, if one is farther than that varied."""
+    found = []
+    for name, (low, high) in saved.seen.items():
+        values = rows.covariates.get(name, np.zeros(0))
+        beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
+        if beyond > ASIDE * (high - low):
+            ends = float(np.nanmin(values)), float(np.nanmax(values))
+            found.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
+    return max(found, key=lambda heat: heat.beyond, default=None)
+
+
+def with_unknowns(question: Question) -> np.ndarray:
+    """Coefficients (K,) of the calibration as it is, with what only the new rows tell fitted to them."""
+    if not question.unknown.any():
+        return question.theta
+    free = np.where(question.unknown, np.diag(question.covariance), 0.0)
+    return likely(replace(question, covariance=np.diag(free))).theta
+
+
+def seen_by(question: Question, every: Sequence[Suspect]) -> tuple[tuple[Suspect, ...], tuple[Suspect, ...]]:
+    """Suspects that rows can show, and those that what nobody knew takes up: a base, say, around which points are unknown."""
+    if not question.unknown.any():
+        return tuple(every), ()
+    _, J = question.at(question.theta)
+    U = J[:, question.unknown]
+    before = taken_up(U)
+    found = [taken_up(np.hstack([U, J @ suspect.directions])) > before for suspect in every]
+    return (
+        tuple(s for s, seen in zip(every, found, strict=True) if seen),
+        tuple(s for s, seen in zip(every, found, strict=True) if not seen),
+    )
+
+
+def _next(
+    saved: SavedModel, unknowns: Wide, question: Question, left: Sequence[Suspect], rows: Dataset
+) -> tuple[Cause, Question]:
+    """The most probable of all that could explain the rows, and the rows with it allowed for."""
+    found = []
+    for suspect in left:
+        free = question.with_moved(suspect, suspect.sizes[-1])
+        place = likely(free)
+        B = place.J @ suspect.directions
+        before = replace(place, known=place.J @ question.covariance @ place.J.T + place.shared)
+        seen = evidence(before, question.times, B, suspect.sizes)
+        size = min(FREE * suspect.sizes[seen.best], suspect.sizes[-1])
+        # Noise that looks larger may be what else has moved: it stays as known until it is itself the best explanation.
+        freed = question.with_moved(suspect, size)
+        found.append((seen.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed))
+    here, row_of = likely(question), question.rows
+    still = evidence(here, question.times, np.zeros((len(here.r), 0)), (1.0,))
+    worse = int(np.argmax(still.density[0, 1:])) + 1
+    times = TIMES[worse] * question.times
+    words = f"the scatter of the rows, {times:g} times what was expected (instrument, target or reading, no part of the arm)"
+    scattered = float(logsumexp(still.density[0, 1:]) - np.log(len(TIMES) - 1))
+    found.append((scattered, Cause("noise", "rows", words, 0.0), replace(question, times=times)))
+    measured = np.unique(row_of).tolist()
+    for row in measured:
+        seen = evidence(here, question.times, np.diag(here.root)[:, row_of == row], GROSS)
+        dropped = question.dropped.copy()
+        dropped[row] = True
+        line = str(rows.origin.line[row])
+        off = Cause("row", line, f"row {line} alone, which is off by itself", 0.0)
+        found.append((seen.total - float(np.log(len(measured))), off, replace(question, dropped=dropped)))
+    logs = np.array([value for value, _, _ in found])
+    best = int(np.argmax(logs))
+    _, cause, freed = found[best]
+    cause = replace(cause, probability=float(np.exp(logs[best] - logsumexp(logs))))
+    if cause.suspect is None:
+        return cause, freed
+    others = alike(freed, cause.suspect, question, left)
+    found_apart = telling(saved, unknowns, freed, others)
+    return replace(cause, alike=tuple(s.words for s, _ in others), telling=found_apart), freed

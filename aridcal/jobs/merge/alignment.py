@@ -1,0 +1,258 @@
+r"""Offset and drift of two clocks from the moves between standstills.
+
+Frames come from the standstills alone (closed form). What the target misses at the two standstills that a move joins, e_0 and
+e_1, is the nominal model's fault, and is taken off along the way: with s from 0 to 1 the share of the way that is done,
+
+.. math:: m_i - x(t'_i) - (1 - s_i) e_0 - s_i e_1 = \dot x(t'_i) \, \delta + \text{noise}
+
+gives each move a \delta of its own by least squares, and a robust line through these gives offset and drift: Gauss and Newton's
+method, for the next round begins with the better clocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from aridcal.engine.fit.frame_starts import Posed, start_frames
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.jobs.merge.clocks import Clocks
+from aridcal.jobs.merge.log import Log
+from aridcal.jobs.merge.pairs import Pairs, within
+from aridcal.system.errors import MeasurementError
+
+PER_MOVE = 60
+"""Samples of a move that are used at most: more tell no more, since what the model misses is common to neighbours."""
+
+LONGEST = 60.0
+"""Moves between standstills further apart are left out, [s]: something else went on there."""
+
+TUKEY = 4.685
+"""Tukey's biweight with this has 95 % efficiency for Gaussian noise."""
+
+LEAST_SLOPE = 0.3
+"""Mean slope of the biweight's psi at least: for Gaussian noise it is 0.8, with half of the moves wild 0.4."""
+
+LARGEST = 0.5
+"""A round moves clocks by no more, [s]: what is linear about a move ends there."""
+
+WILD = 4.0
+"""Times the usual distance from the nominal robot beyond which a standstill does not count for the frames: a wrong pair, or a
+target that was moved, would draw them to itself and so hide."""
+
+TRIMS = 10
+"""Rounds of this at most."""
+
+LEAST_TELLING = 0.05
+"""Share of the usual sum of squared speeds below which a move tells nothing: it is a fifth as fast."""
+
+FEWEST = 3
+"""Moves without which offset, drift and scatter are not told."""
+
+JUMP = 6.0
+"""Sigmas by which the moves after a time are late, compared with those before, if a clock jumped."""
+
+LEAST_JUMP = 0.02
+"""Jumps that are smaller are within what is dropped at both ends of a standstill, [s]."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """The robot and its target as the tracker sees them, nominal: x = R_w (p + R l) + t_w."""
+
+    turn: np.ndarray
+    shift: np.ndarray
+    lever: np.ndarray
+
+    def target(self, robot: Robot, q: np.ndarray) -> np.ndarray:
+        """Where the target is for readings of shape (N, columns), shape (N, 3), [m]."""
+        R, p = tip_frames(robot, q)
+        return np.asarray((p + R @ self.lever) @ self.turn.T + self.shift)
+
+
+@dataclass(frozen=True)
+class Moves:
+    """What each of K moves says of the clocks.
+
+    Attributes:
+        time: Of its middle, by the tracker's clock, shape (K,), [s].
+        late: By how much the joints' clock is behind at it, after the fit, shape (K,), [s].
+        weight: In the fit, from 0 to 1.
+    """
+
+    time: np.ndarray
+    late: np.ndarray
+    weight: np.ndarray
+
+
+def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarray]:
+    """Frames that bring the nominal robot's targets to the measured ones.
+
+    Args:
+        robot: The chain.
+        q: Readings at K standstills, shape (K, columns), [rad] or [m].
+        m: Measured there, shape (K, 3), [m].
+
+    Returns:
+        The frames, of the standstills that are near, and measured minus nominal at all, shape (K, 3).
+    """
+    kept = np.ones(len(m), dtype=bool)
+    for _ in range(TRIMS):
+        frames = _fitted(robot, q[kept], m[kept])
+        left = m - frames.target(robot, q)
+        size = np.linalg.norm(left, axis=1)
+        near = size <= WILD * np.median(size)
+        if np.array_equal(near, kept):
+            break
+        kept = near
+    return frames, left
+
+
+def _fitted(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
+    """Frames in closed form, of several starts that which leaves least."""
+    R, p = tip_frames(robot, q)
+    one = np.zeros(len(m), dtype=int)
+    tried = [
+        Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
+        for start in start_frames(Posed(R, p, None, m, one, one), None, None, (pin.SE3.Identity(),))
+    ]
+    return min(tried, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
+
+
+def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Means over windows of a log's own clock, shape (K, C); between samples where a window has none."""
+    return np.array(
+        [
+            values[rows].mean(axis=0) if rows.stop > rows.start else values[min(rows.start, len(values) - 1)]
+            for rows in (within(log.time, a, b) for a, b in zip(begin, end, strict=True))
+        ]
+    )
+
+
+def improved(
+    clocks: Clocks, robot: Robot, joints: Log, q: np.ndarray, tracker: Log, m: np.ndarray, found: Pairs
+) -> tuple[Clocks, Moves]:
+    """One round: what the moves say of the clocks.
+
+    Args:
+        clocks: So far.
+        robot: The chain.
+        joints: The joints' log, N samples.
+        q: Its readings, shape (N, columns), [rad] or [m].
+        tracker: The tracker's log, M samples.
+        m: The target's places, shape (M, 3), [m].
+        found: K standstills of both.
+
+    Raises:
+        MeasurementError: too few moves tell anything.
+    """
+    begin, end = clocks.joints(found.begin), clocks.joints(found.end)
+    frames, off = placed(robot, window_means(joints, q, begin, end), window_means(tracker, m, found.begin, found.end))
+    rows, share, move = _samples(tracker, found)
+    step = max(joints.period, 1e-3)
+    at = clocks.joints(tracker.time[rows])
+    inside = (at > joints.time[0] + step) & (at < joints.time[-1] - step)
+    rows, share, move, at = rows[inside], share[inside], move[inside], at[inside]
+    readings = [np.column_stack([np.interp(at + d, joints.time, column) for column in q.T]) for d in (-step, 0.0, step)]
+    x = [frames.target(robot, one) for one in readings]
+    speed = (x[2] - x[0]) / (2 * step)
+    share = _done(speed, share, move, len(found))
+    left = m[rows] - x[1] - (1 - share)[:, None] * off[move] - share[:, None] * off[move + 1]
+    above = np.bincount(move, np.einsum("ni,ni->n", speed, left), minlength=len(found))
+    below = np.bincount(move, np.einsum("ni,ni->n", speed, speed), minlength=len(found))
+    count = np.bincount(move, minlength=len(found))
+    tells = (count >= 3) & (below > 0)
+    if tells.any():
+        tells &= below > LEAST_TELLING * np.median(below[tells])
+    if np.count_nonzero(tells) < FEWEST:
+        raise MeasurementError(
+            f"{tracker.title}: only {np.count_nonzero(tells)} moves between paired standstills have three samples or more; "
+            f"{FEWEST} are the least. Log faster, or move more slowly"
+        )
+    delta = above[tells] / below[tells]
+    time = (0.5 * (found.end[:-1] + found.begin[1:]))[tells[:-1]]
+    line, covariance, weight = _line(time - clocks.middle, delta)
+    change = np.clip(line, -LARGEST, LARGEST)
+    better = Clocks(clocks.offset + change[0], clocks.drift + change[1], clocks.middle, covariance)
+    return better, Moves(time, delta - line[0] - line[1] * (time - clocks.middle), weight)
+
+
+def _samples(tracker: Log, found: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples between standstills, at most so many a move: rows, share of its time, and number of the move."""
+    rows, share, move = [], [], []
+    for k in range(len(found) - 1):
+        between = within(tracker.time, found.end[k], found.begin[k + 1])
+        lasts = found.begin[k + 1] - found.end[k]
+        count = between.stop - between.start
+        if count > 0 and lasts < LONGEST:
+            some = between.start + np.unique(np.linspace(0, count - 1, min(count, PER_MOVE)).astype(int))
+            rows.append(some)
+            share.append((tracker.time[some] - found.end[k]) / lasts)
+            move.append(np.full(len(some), k))
+    if not rows:
+        return np.empty(0, dtype=int), np.empty(0), np.empty(0, dtype=int)
+    return np.concatenate(rows), np.concatenate(share), np.concatenate(move)
+
+
+def _done(speed: np.ndarray, share: np.ndarray, move: np.ndarray, count: int) -> np.ndarray:
+    """Share of each move's way that is done at its samples, by the nominal speed at them; shape (N,)."""
+    if not len(move):
+        return share
+    size = np.linalg.norm(speed, axis=1)
+    first = np.r_[True, np.diff(move) > 0]
+    lasts = np.r_[0.0, np.diff(share)]
+    each = np.where(first, 0.0, 0.5 * (size + np.r_[0.0, size[:-1]]) * lasts)
+    way = np.cumsum(each)
+    start = way[first][np.cumsum(first) - 1]
+    whole = np.bincount(move, each, minlength=count)[move]
+    return np.asarray(np.where(whole > 0, (way - start) / np.where(whole > 0, whole, 1.0), share))
+
+
+def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A robust line: its two numbers, their covariance, and the weights; from the median on, by Tukey's biweight."""
+    design = np.column_stack([np.ones(len(time)), time])
+    line = np.array([np.median(delta), 0.0])
+    weight = np.ones(len(time))
+    few = np.sqrt(len(time) / max(len(time) - 2, 1))  # two numbers are fitted: what is left is smaller by so much
+    for _ in range(30):
+        left = delta - design @ line
+        scale = max(1.4826 * few * float(np.median(np.abs(left))), 1e-9)
+        u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
+        weight = (1.0 - u * u) ** 2
+        normal = design.T @ (weight[:, None] * design)
+        line = np.linalg.solve(normal + np.diag([1e-12, 1e-12]), design.T @ (weight * delta))
+    # of an M-estimate (Huber 1981, section 7.6): mean square of psi over the squared mean of its slope
+    left = delta - design @ line
+    u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
+    slope = max(float(np.mean((1 - u**2) * (1 - 5 * u**2))), LEAST_SLOPE)
+    variance = float(np.sum((weight * left) ** 2)) / max(len(time) - 2, 1) / slope**2
+    return line, variance * np.linalg.inv(design.T @ design), weight
+
+
+def jump(moves: Moves) -> tuple[float, float] | None:
+    """When a clock jumped, and by how much, [s]; None where nothing says so.
+
+    A step is fitted beside the line, before each move in turn; that which leaves least is the one, if it is far from nothing.
+    """
+    n = len(moves.late)
+    if n < 8:
+        return None
+    late = np.clip(moves.late, *np.quantile(moves.late, [0.02, 0.98]))
+    time = (moves.time - moves.time.mean()) / np.ptp(moves.time)
+    best: tuple[float, int, float, float] | None = None
+    for k in range(3, n - 2):
+        design = np.column_stack([np.ones(n), time, np.arange(n) >= k])
+        inverse = np.linalg.inv(design.T @ design)
+        solved = inverse @ (design.T @ late)
+        left = late - design @ solved
+        if best is None or left @ left < best[0]:
+            noise = max(1.4826 * float(np.median(np.abs(left))) * np.sqrt(n / (n - 3)), 1e-9)
+            best = float(left @ left), k, float(solved[2]), float(noise * np.sqrt(inverse[2, 2]))
+    assert best is not None
+    _, k, step, sigma = best
+    if abs(step) < JUMP * sigma or abs(step) < LEAST_JUMP:
+        return None
+    return float(moves.time[k]), step

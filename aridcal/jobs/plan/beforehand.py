@@ -1,0 +1,365 @@
+"""What is known before new rows are measured: a model of all that may be identified, and what the rows so far say of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.corrections.sights import Sights
+from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, station_labels
+from aridcal.engine.fit.least_squares import UNKNOWN_NOISE
+from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.setup import TIP, Block, Instruments
+from aridcal.engine.inverse.reachable import draw_readings
+from aridcal.engine.model.model import SIZES, Model
+from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.collisions import Bodies, bodies_of
+from aridcal.engine.robot.kinematics import tip_frames
+from aridcal.engine.rows.approach import with_directions
+from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.rows.row_facts import ROLES
+from aridcal.engine.search.loop import fit_arm, fit_constants, surroundings
+from aridcal.files.campaign import Campaign
+from aridcal.files.purposes import Box
+from aridcal.files.read import load_measurements, with_routes
+from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.jobs.plan.clearance import THICK
+from aridcal.jobs.plan.mounting import mounting_side, stands_above
+from aridcal.system.errors import CampaignError, MeasurementError, listed
+from aridcal.system.progress import SILENT, Progress
+
+PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
+"""Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
+these are found in the image: that is known of images only."""
+
+ANGLES_ALONE = (
+    "inclinations tell nothing of lengths: the sigma is what is left of angles, the arm's lengths as in the URDF"
+)
+"""What the sigma of the target does not hold where directions of gravity are measured."""
+
+HELD = (
+    "planned are postures in which {} and {} hold the body as in the last row, {}: it must not be let go since; taken anew, it "
+    "needs a few rows under another label first"
+)
+"""Of two links that hold one body: only as it was held is it known where these can be."""
+
+WHERE = {
+    "point": "points: points.csv",
+    "distance": "anchors: {NAME: {xyz: [x, y, z]}}",
+    "plane": "planes: {NAME: {normal: [x, y, z], offset: o}}",
+    "pixels": "cameras: {NAME: {xyz: [x, y, z], rpy: [r, p, y], …}}, markers: {file: markers.csv, xyz: …, rpy: …}",
+}
+"""What says where the things are that rows of a kind refer to."""
+
+USUAL = 200
+"""Postures of which two shapes that touch in every one overlap by themselves: they say nothing of collisions."""
+
+OFFSET = 3
+"""Component of an anchor that may be anything: zero as long as nobody says more."""
+
+
+@dataclass(frozen=True)
+class Beforehand:
+    """What is known.
+
+    Attributes:
+        campaign: What is to be measured, how, and what may be identified.
+        robot: The nominal chain.
+        model: Everything that may be identified, K coefficients; things where they are known to be.
+        theta: Their values, shape (K,).
+        prior: How large each is expected to be by itself, [rad] or [m] or what its basis makes of these, shape (K,); infinite
+            where nothing is expected.
+        sigma: Noise of each channel, shape (C,).
+        rows: Those fitted; none where nothing was measured yet.
+        weight: Of each, shape (N,).
+        patterns: Rows of which each new one is a copy with other readings: of every thing that it may refer to, one.
+        bodies: What of the arm can touch what.
+        side: Of the mounting plane, on which arm and target are kept, see :func:`mounting_side`; 0 where they are not.
+        notices: What had to be assumed.
+    """
+
+    campaign: Campaign
+    robot: Robot
+    model: Model
+    theta: np.ndarray
+    prior: np.ndarray
+    sigma: np.ndarray
+    rows: Dataset
+    weight: np.ndarray
+    patterns: Dataset
+    bodies: Bodies
+    side: float
+    notices: tuple[str, ...]
+
+    @property
+    def boxes(self) -> tuple[Box, ...]:
+        """What the campaign keeps the arm out of."""
+        return self.campaign.design.keep_out or ()
+
+    @property
+    def kept_out(self) -> str:
+        """What the arm is kept out of, in words."""
+        if self.boxes:
+            return f"kept out of: itself and the {len(self.boxes)} boxes of design.keep_out"
+        if self.side:
+            plane = f"the mounting plane z = 0 of {self.robot.base}"
+            return f"kept out of: itself and {plane}, by {1e3 * THICK:.0f} mm (other limits: design.keep_out)"
+        return "kept out of: itself alone; floor, tables and walls are not known: state them as design.keep_out"
+
+    def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
+        """The same with more that may be identified, perhaps each with how large it is expected to be."""
+        model = self.model.with_coefficients((*self.model.coefficients, *more))
+        expected = np.full(len(more), np.inf) if prior is None else prior
+        theta = np.concatenate([self.theta, np.zeros(len(more))])
+        return replace(self, model=model, theta=theta, prior=np.concatenate([self.prior, expected]))
+
+
+def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
+    """What a campaign's tables tell, or, where they are not there yet, what it says itself.
+
+    Raises:
+        AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
+    """
+    kind = campaign.measurements.kind
+    if kind not in PLANNED:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
+            "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
+            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
+        )
+    files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
+    missing = [path for path in files if not path.exists()]
+    remarks = (ANGLES_ALONE,) if KINDS[kind].level else ()
+    if not missing:
+        found = _measured(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
+        return replace(found, notices=(*remarks, *found.notices))
+    if len(missing) < len(files):
+        raise MeasurementError(
+            f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
+            "what is there is added to"
+        )
+    if len(campaign.blocks) > 1:
+        raise CampaignError(
+            f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
+            "its own"
+        )
+    if KINDS[kind].joins:
+        raise CampaignError(
+            f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
+            "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
+        )
+    found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
+    return replace(found, notices=(*remarks, *found.notices))
+
+
+def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
+    """What of the arm can touch what, the boxes of a campaign among it."""
+    boxes = [(np.array(box.min), np.array(box.max)) for box in keep_out]
+    return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
+
+
+def _unshaped(robot: Robot, bodies: Bodies) -> tuple[str, ...]:
+    """That limbs may meet where nothing is known of their shapes."""
+    if not robot.others or bodies.shaped:
+        return ()
+    return ("the URDF has no collision shapes: whether limbs touch each other is not looked at",)
+
+
+def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
+    """Frames, constants and declared effects from the rows that are there."""
+    progress("reading the measurements")
+    rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
+    question = campaign.question
+    labels = station_labels(question, rows)
+    progress(f"fitting frames and constants to {rows.train.sum()} rows")
+    geometry = fit_constants(question, robot, rows, labels, progress)
+    fit = geometry.geometric
+    if campaign.effects:
+        fit = fit_arm(question.without_search(), geometry, rows, progress).diagnosed.fit
+    there = set(fit.model.names)
+    others = tuple(c for c in geometry.geometric.candidates if c.name not in there)
+    model = fit.model.with_coefficients((*fit.model.coefficients, *others))
+    notices = []
+    if len(campaign.blocks) > 1:
+        notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
+    if rows.labels.station is not None and labels:
+        notices.append(f"planned are rows at the station of the last row, {rows.labels.station[rows.as_read[-1]]}")
+    patterns = _patterns(rows)
+    if campaign.measurements.links is not None:
+        notices.append(HELD.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
+    return Beforehand(
+        campaign=campaign,
+        robot=robot,
+        model=model,
+        theta=np.concatenate([fit.theta, np.zeros(len(others))]),
+        prior=np.full(len(fit.theta) + len(others), np.inf),
+        sigma=fit.sigma,
+        rows=rows.fitted,
+        weight=fit.weight,
+        patterns=patterns,
+        bodies=bodies,
+        side=_side(campaign, robot, rows.readings),
+        notices=(*notices, *bodies.unread, *_unshaped(robot, bodies)),
+    )
+
+
+def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
+    """The side of the mounting plane that plans keep to; none where the campaign says what to keep out of, or rows went below.
+
+    Args:
+        campaign: What is to be measured.
+        robot: The chain.
+        measured: Readings of the rows so far, shape (n, columns).
+    """
+    if robot.others:  # a torso stands on no plane that its arms could not go below
+        return 0.0
+    side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
+    flanges = tip_frames(robot, measured)[1]
+    return side if side and stands_above(robot, side, measured, flanges).all() else 0.0
+
+
+def _patterns(rows: Dataset) -> Dataset:
+    """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
+    own = rows.labels.block == 0
+    if rows.blocks[0].traits.joins:
+        in_order = rows.as_read[own[rows.as_read]]
+        own &= rows.labels.refers[:, 0] == rows.labels.refers[in_order[-1], 0]
+    if rows.labels.station is not None:
+        own &= rows.labels.station == rows.labels.station[rows.as_read[-1]]
+    told = np.full((len(rows), 1), "") if rows.labels.target is None else rows.labels.target[:, None].astype(str)
+    told = np.hstack([rows.labels.refers.astype(str), told])
+    number = np.flatnonzero(own)
+    _, first = np.unique(told[own], axis=0, return_index=True)
+    some = rows.select(number[np.sort(first)])
+    typical = {
+        name: np.full(len(some), np.nanmean(v[own])) for name, v in rows.covariates.items() if np.isfinite(v[own]).any()
+    }
+    return replace(some, covariates=typical, relative=None).with_repeats(share=1.0)
+
+
+def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
+    """The nominal robot with the campaign's hints, and things where these say that they are."""
+    settings = campaign.measurements
+    if campaign.question.by_station:
+        raise CampaignError(
+            f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
+            "without this key"
+        )
+    known = known_of(campaign)
+    refers = _referred(campaign, known)
+    labels = _targets(campaign, robot)
+    refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
+    middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
+    kind, n = settings.traits, len(refers)
+    channels = kind.channels
+    stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
+    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
+    turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
+    rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
+    directions = tuple(f"{name}_direction" for name in robot.readings)
+    rows = replace(rows, covariates=dict.fromkeys(directions, np.zeros(n))).with_origin(derived=directions)
+    if labels or not kind.tracked:
+        blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
+        refers = with_trackers(refers, blocks, rows.labels.block, robot.readings)
+        made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
+        rows = replace(
+            rows,
+            blocks=blocks,
+            observed=np.zeros((n, max(1, len(kind.read)))),
+            labels=replace(rows.labels, refers=refers),
+            instruments=made,
+        )
+    if labels:
+        rows = with_routes(rows.with_labels(target=target), [settings], known, robot)
+    question = campaign.question
+    coefficients = frame_coefficients(question, (), rows) + constants(robot, question.constants)
+    model = Model(
+        robot,
+        coefficients,
+        ((None, question.world_base.at),),
+        tuple(
+            (label, question.target(label).at) for label in frame_labels("tip_target", question.tip_target, (), rows)
+        ),
+        instruments=rows.instruments,
+        routes=rows.labels.routes,
+        target_on=question.target_on,
+    )
+    around = surroundings(question, model, loaded=False)
+    if labels:
+        around = replace(around, sights=Sights(np.array([frame.translation for _, frame in model.tip_target])))
+    model = replace(model, around=around)
+    assumed = [
+        f"noise.{c.name} is not said: planned with {s * c.scale:g} {c.shown}"
+        for c, own, s in zip(channels, stated, sigma.tolist(), strict=True)
+        if own is None
+    ]
+    return Beforehand(
+        campaign=campaign,
+        robot=robot,
+        model=model,
+        theta=np.zeros(len(coefficients)),
+        prior=np.full(len(coefficients), np.inf),
+        sigma=sigma,
+        rows=rows.select(np.zeros(0, dtype=int)),
+        weight=np.zeros(0),
+        patterns=rows,
+        bodies=bodies,
+        side=_side(campaign, robot, np.zeros((0, len(robot.readings)))),
+        notices=(*assumed, *bodies.unread, *_unshaped(robot, bodies)),
+    )
+
+
+def _targets(campaign: Campaign, robot: Robot) -> list[str]:
+    """Labels of the targets that rows of a robot of several limbs measure; none of a robot of one."""
+    if not robot.others:
+        return []
+    settings = campaign.measurements
+    if settings.traits.bare or settings.target or not campaign.instruments.targets:
+        return [settings.target or TIP]
+    return list(campaign.instruments.targets)
+
+
+def _referred(campaign: Campaign, known: Known) -> np.ndarray:
+    """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
+    settings, declared = campaign.measurements, campaign.instruments.declared
+    kind = settings.traits
+    if kind.tracked or not kind.roles:
+        found = [("", "", "")]
+    elif kind.images:
+        cameras = [settings.camera] if settings.camera else list(declared["camera"])
+        found = [(camera, known.board_of(camera, marker), marker) for camera in cameras for marker in known.markers]
+    else:
+        role = kind.roles[0].name
+        found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]
+    if not found:
+        raise _nothing_said(campaign)
+    return np.array(found, dtype=str).reshape(-1, ROLES)
+
+
+def _stated(made: Instruments, campaign: Campaign) -> Instruments:
+    """The things, offsets of which nothing is said at zero.
+
+    Raises:
+        CampaignError: of one of them nobody says where it is.
+    """
+    things = {}
+    for role, own in made.things.items():
+        start = own.start.copy()
+        if role == "anchor":
+            start[:, OFFSET] = np.nan_to_num(start[:, OFFSET])
+        if np.isnan(start).any():
+            raise _nothing_said(campaign)
+        things[role] = replace(own, start=start)
+    return replace(made, things=things)
+
+
+def _nothing_said(campaign: Campaign) -> CampaignError:
+    """What is said where rows would refer to what is nowhere."""
+    kind = campaign.measurements.kind
+    return CampaignError(
+        f"{campaign.path}: instruments: nothing was measured yet, and it is not said where all is that `kind: {kind}` refers "
+        f"to; say nearly where: `{WHERE[kind]}`"
+    )

@@ -1,0 +1,167 @@
+"""What a plan covers: where its targets lie, where the target stays badly known, and which row tells of which suspect."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from aridcal.engine.corrections.effect import Coefficient
+from aridcal.engine.trust.workspace import LOOSE
+from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.configurations import Candidates, targets_of
+from aridcal.jobs.plan.information import KNOWN, Told
+from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, taken_away, worst_sigma
+
+COUNTS = 12
+"""Points of the curve of sigma against the number of configurations: a smooth line, and each a small decomposition."""
+
+
+@dataclass(frozen=True)
+class Sigma:
+    """How well the target is known over the region with so many new configurations; NaN where it is not known at all.
+
+    Attributes:
+        n: So many.
+        rms: All three directions together, [m].
+        worst: At the worst place in the worst direction, [m].
+    """
+
+    n: int
+    rms: float
+    worst: float
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What a plan of n configurations covers.
+
+    Attributes:
+        targets: Of the configurations in the world, shape (n, 3), [m].
+        places: Of the target over the region, shape (R, 3), [m].
+        worst: 1-sigma there in the worst direction, shape (R,), [m].
+        against: How well the target is known with fewer and with more configurations.
+        suspects: Effects that may be there, ``WHERE.KIND``.
+        loss: Share by which the variance of each suspect would grow without each configuration, shape (n, suspects).
+    """
+
+    targets: np.ndarray
+    places: np.ndarray
+    worst: np.ndarray
+    against: tuple[Sigma, ...]
+    suspects: tuple[str, ...]
+    loss: np.ndarray
+
+
+def sigma_of(choice: Choice, chosen: list[int]) -> Sigma:
+    """What a choice makes of the region."""
+    M = choice.information(chosen)
+    rms = told_sigma(rms_sigma(choice, M))
+    return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
+
+
+def told_sigma(sigma: float) -> float:
+    """A sigma; NaN where it is that of what is assumed."""
+    return sigma if sigma < KNOWN * LOOSE else float("nan")
+
+
+def coverage(
+    known: Beforehand,
+    of: Told,
+    choice: Choice,
+    order: list[int],
+    visited: Candidates,
+    rows: np.ndarray,
+    region: np.ndarray,
+) -> Coverage:
+    """What a plan covers.
+
+    Args:
+        known: The model.
+        of: Its unknowns.
+        choice: Has the configurations that were chosen and others.
+        order: Numbers of them, the best first; see :func:`aridcal.jobs.plan.row_exchange.nested`.
+        visited: The plan, n configurations.
+        rows: What they tell, in sigmas, shape (n, p, D).
+        region: Readings at the places, shape (R, columns).
+    """
+    counts = np.unique(np.linspace(1, len(order), COUNTS).round().astype(int)).tolist()
+    asked, own = replace(choice, rows=rows), slice(0, choice.solved_for)
+    M = asked.information(range(len(rows)))
+    covariance, solved = np.linalg.inv(M), np.linalg.inv(M[own, own])
+    names, parts = suspects(known, of)
+    loss = np.zeros((len(rows), len(names)))
+    for k, F in enumerate(rows):
+        rest = partial(asked.information, [other for other in range(len(rows)) if other != k])
+        without, _ = taken_away(asked, covariance, solved, F, rest)
+        loss[k] = [_grown(without, covariance, part) for part in parts]
+    spread = np.linalg.eigvalsh(choice.variances(M))[:, -1]
+    return Coverage(
+        targets=targets_of(known, visited.readings, visited.first)[1],
+        places=targets_of(known, region, np.zeros(len(region), dtype=int))[1],
+        worst=np.sqrt(spread.reshape(-1, len(region)).max(axis=0)),
+        against=tuple(sigma_of(choice, order[:count]) for count in counts),
+        suspects=names,
+        loss=loss,
+    )
+
+
+def _grown(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> float:
+    """Share by which the variance of some unknowns is larger without a configuration."""
+    return float(np.trace(without[np.ix_(part, part)]) / np.trace(covariance[np.ix_(part, part)]) - 1.0)
+
+
+def suspects(known: Beforehand, of: Told) -> tuple[tuple[str, ...], list[list[int]]]:
+    """Effects among the unknowns by place and what each depends on, and the unknowns that are theirs."""
+    parts: dict[str, list[int]] = {}
+    for number, k in enumerate(of.kept):
+        c = known.model.coefficients[k]
+        if not c.basis.constant:
+            parts.setdefault(_title(c), []).append(of.things + number)
+    return tuple(parts), list(parts.values())
+
+
+def indices(known: Beforehand, of: Told, rows: np.ndarray) -> tuple[float, ...]:
+    """Observability indices of all rows together, suspects held; see :func:`observability`.
+
+    Args:
+        known: The model, and the rows so far.
+        of: Its unknowns.
+        rows: New ones, in sigmas, shape (n, p, D).
+    """
+    flat = rows.reshape(-1, rows.shape[2])
+    information = (of.measured + flat.T @ flat) * of.sizes * of.sizes[:, None]
+    expected = np.isfinite(known.prior[list(of.kept)])
+    some = np.flatnonzero(np.concatenate([np.ones(of.things, dtype=bool), ~expected]))
+    return observability(information[np.ix_(some, some)], of.things, len(known.rows) + len(rows))
+
+
+def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[float, ...]:
+    r"""The five indices in use, of the Jacobian in sigmas per [m] and [rad] with singular values s, L of them, from n rows.
+
+    .. math:: O_1 = (s_1 \cdots s_L)^{1/L} / \sqrt n, \quad O_2 = s_L / s_1, \quad O_3 = s_L, \quad O_4 = s_L^2 / s_1, \quad
+              O_5 = 1 / (1/s_1 + \ldots + 1/s_L)
+
+    (Borm and Menq 1991; Driels and Pathre 1990; Nahvi, Hollerbach and Hayward 1994; Nahvi and Hollerbach 1996; Sun and
+    Hollerbach 2008, doi:10.1109/ROBOT.2008.4543390, which compares them.)
+
+    Args:
+        information: Shape (D, D).
+        solved_for: Unknowns, the first ones, that are solved for beside.
+        n: Rows.
+    """
+    cross = information[solved_for:, :solved_for]
+    inner = np.linalg.pinv(information[:solved_for, :solved_for], hermitian=True)
+    values = np.linalg.eigvalsh(information[solved_for:, solved_for:] - cross @ inner @ cross.T)
+    s = np.sqrt(np.maximum(values, 0.0))[::-1]
+    with np.errstate(divide="ignore"):
+        first = float(np.exp(np.mean(np.log(s))) / np.sqrt(n))
+        last = float(1.0 / np.sum(1.0 / s))
+    return first, float(s[-1] / s[0]), float(s[-1]), float(s[-1] ** 2 / s[0]), last
+
+
+def _title(c: Coefficient) -> str:
+    """What a suspect is called: where, and on what it depends."""
+    depends = (name.removeprefix(c.where).strip("._").replace("_", " ") for name in c.basis.of if name != c.where)
+    return f"{c.where}: {' and '.join(depends) or 'its own reading'}"

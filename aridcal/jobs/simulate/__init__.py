@@ -1,0 +1,1 @@
+"""Campaigns with a known truth, from a scenario."""

@@ -1,0 +1,1 @@
+"""What people look at: pages, pictures, words. Nothing is computed here."""

@@ -1,0 +1,99 @@
+"""A fleet and a study as DataFrames: the figures of their pages, for Python."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from typing import Any
+
+import pandas as pd
+
+from aridcal.jobs.fleet.drifting import drifting
+from aridcal.jobs.fleet.outliers import StandsOut, standing_out
+from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
+from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
+from aridcal.jobs.fleet.runs import Ran
+from aridcal.jobs.fleet.study_figures import Estimate, Point, Scatter, found_again, points, scatters
+from aridcal.jobs.fleet.study_runs import SCHEMA as OF_RUNS
+from aridcal.jobs.fleet.study_runs import Studied
+
+ROBOT_COLUMNS = ("robot", "status", "measured", "rows", "verdict", "error")
+"""Behind them stand the errors, RMS on held-out rows: ``final_position_mm`` for instance."""
+
+
+def robot_table(ran: Ran) -> pd.DataFrame:
+    """A row for each robot asked for, the worst first; what failed has no figures, what remains is not there."""
+    rows = list(ran.now.values())
+    names = [(stage, channel) for channel in channels_of(rows) for stage in STAGES[::-1]]
+    made = [
+        {key: typed(row)[key] for key in ROBOT_COLUMNS}
+        | {f"{stage}_{channel}": error_of(row, stage, channel) for stage, channel in names}
+        for row in rows
+    ]
+    errors = [f"{stage}_{channel}" for stage, channel in names]
+    table = pd.DataFrame(made, columns=[*ROBOT_COLUMNS, *errors])
+    return table.sort_values(errors[0], ascending=False, ignore_index=True) if errors else table
+
+
+def nested_table(ran: Ran, column: str) -> pd.DataFrame:
+    """What the last run of every robot has in one of its lists, an entry a row.
+
+    Args:
+        ran: The fleet.
+        column: ``effects`` or ``constants``, as in ``fleet.parquet``.
+    """
+    rows = [{"robot": row["robot"]} | entry for row in are_done(list(ran.now.values())) for entry in row[column]]
+    return pd.DataFrame(rows, columns=["robot", *(field.name for field in SCHEMA.field(column).type.value_type)])
+
+
+def outstanding_table(ran: Ran) -> pd.DataFrame:
+    """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
+    found, _ = standing_out(list(ran.now.values()))
+    return pd.DataFrame([asdict(out) for out in found], columns=_names(StandsOut))
+
+
+def drift_table(ran: Ran) -> pd.DataFrame:
+    """Constants of the first run and the last one of each robot, [m] and [rad], worst first; ``beyond`` what chance gives."""
+    found, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
+    columns = ["robot", "name", "unit", "first", "first_std", "last", "last_std", "days", "times", "beyond"]
+    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.beyond) for d in found]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def run_table(done: Studied) -> pd.DataFrame:
+    """Every run of a study, as ``study.parquet`` has it, without its lists."""
+    return pd.DataFrame(list(done.rows), columns=[n for n in OF_RUNS.names if n not in ("effects", "constants")])
+
+
+def case_table(done: Studied) -> pd.DataFrame:
+    """A row for each case of a study: shares and medians, each with the ends of its interval behind it."""
+    return pd.DataFrame([_case(point) for point in points(done.rows)])
+
+
+def _case(point: Point) -> Row:
+    estimates = {name: getattr(point, name) for name in ("found", "named", "others", "final", "true")}
+    row: Row = {name: getattr(point, name) for name in ("rows", "size", "runs", "failed")}
+    for name, estimate in estimates.items():
+        row |= _estimate(name, estimate)
+    return row
+
+
+def again_table(halves: Sequence[Row]) -> pd.DataFrame:
+    """Effects that runs on halves of a campaign's rows found, and the share of runs, most first."""
+    rows = [{"effect": label} | _estimate("share", found) for label, found in found_again(halves)]
+    return pd.DataFrame(rows, columns=["effect", *_estimate("share", None)])
+
+
+def scatter_table(halves: Sequence[Row]) -> pd.DataFrame:
+    """How far constants scatter over halves of a campaign's rows, [m] and [rad], beside what each run states."""
+    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(Scatter))
+
+
+def _estimate(name: str, found: Estimate | None) -> Row:
+    """A figure and its interval; nothing of what is not known."""
+    value, low, high = (None, None, None) if found is None else (found.value, found.low, found.high)
+    return {name: value, f"{name}_low": low, f"{name}_high": high}
+
+
+def _names(kind: Any) -> list[str]:
+    return [field.name for field in fields(kind)]

@@ -1,0 +1,208 @@
+"""The report on the measurements: are they sound, are there enough, and in the right places?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from markupsafe import Markup
+
+from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.rows.dataset import Dataset
+from aridcal.jobs.calibrate.instrument_results import known_scale
+from aridcal.jobs.calibrate.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
+from aridcal.jobs.calibrate.outcome import Outcome, statistics
+from aridcal.pages.drawing.figures import coverage, histogram
+from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.words import per_number, sigmas_in_words
+from aridcal.system.wording import counted, number, range_in_words
+
+# Lines of a list of rows.
+MOST = 25
+
+
+def data(outcome: Outcome) -> Iterator[Content]:
+    """Question 1: is the data sound?"""
+    m = outcome.measurements
+    flagged = int(outcome.outlier.sum())
+    yield _row_counts(outcome)
+    if len(m.blocks) > 1:
+        yield _blocks(outcome)
+    if flagged > QUESTIONABLE * len(m):
+        share = 100 * flagged / len(m)
+        yield tag(
+            "p",
+            f"{share:.0f} % of the rows are outliers. More than {100 * QUESTIONABLE:.0f} % points to a fault in the "
+            "measurement itself: check for a loose target, a late trigger, mixed-up files or a joint in the wrong unit.",
+            class_="look",
+        )
+    yield _repeats(outcome)
+    if flagged:
+        yield _outliers(outcome)
+    if m.origin.refused:
+        yield tag("h3", "Refused rows")
+        yield bullets([str(remark) for remark in m.origin.refused], MOST, "more; result.json lists them all")
+    if outcome.notices:
+        yield tag("h3", "Notices")
+        yield bullets(outcome.notices, MOST, "more; result.json lists them all")
+
+
+def _row_counts(outcome: Outcome) -> Markup:
+    """How many rows there are, and what became of them."""
+    m, parts = outcome.measurements, outcome.parts()
+    refused = len(m.origin.refused)
+    split = "as the table says" if m.origin.split_given else "split by configuration, the same in every run"
+    counts = {
+        "read": len(m) + refused,
+        "refused: unusable": refused,
+        "outliers: neither fitted nor scored": outcome.outlier.sum(),
+        "stale: the measurement did not change although the joints moved": outcome.measurements.repeats.stale.sum(),
+        "fitted": parts["train"].sum(),
+        f"held out, to judge the result ({split})": parts["test"].sum(),
+    }
+    files = ", ".join(path.name for path in m.origin.files)
+    lines = [[what, f"{count:,}"] for what, count in counts.items()]
+    return table(["rows", "number"], lines, f"Rows of {files}")
+
+
+def _blocks(outcome: Outcome) -> Markup:
+    """The rows of each instrument, and the noise that it has."""
+    m, parts = outcome.measurements, outcome.parts()
+    lines = []
+    first = 0
+    for b, block in enumerate(m.blocks):
+        own = m.labels.block == b
+        last = first + len(block.channels)
+        counts = [own, own & parts["train"], own & parts["test"], own & outcome.outlier]
+        noise = sigmas_in_words(outcome.noise[first:last], block.channels)
+        lines.append([block.name, KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
+        first = last
+    head = ["block", "measures", "rows", "fitted", "held out", "outliers", "noise of each number"]
+    return table(head, lines, "Rows of each block", numbers=2)
+
+
+def _repeats(outcome: Outcome) -> Content:
+    """Scatter of configurations that were measured more than once."""
+    found, several = outcome.repeats, not outcome.measurements.direct
+    if found is None:
+        nothing = (
+            "Nothing was measured twice at one configuration" if several else "No configuration was measured twice"
+        )
+        images = any(block.traits.images for block in outcome.measurements.blocks)
+        marks = " (several marks in one image repeat nothing: a second image there would)" if images else ""
+        return tag(
+            "p",
+            f"{nothing}{marks}, so the noise of robot and instrument cannot be separated from the "
+            "error of the model. Repeat a few poses next time.",
+        )
+    repeatability = (
+        ""
+        if math.isnan(found.repeatability)
+        else f" Over all of them, the mean distance to the centre plus three standard deviations is "
+        f"{number(1e3 * found.repeatability)} mm{'' if several else ' (RP of each pose: section ISO 9283)'}."
+    )
+    what = "measurement was repeated" if found.groups == 1 else "measurements were repeated"
+    repeated = (
+        f"{found.groups:,} {what} at the same configuration, of the same thing"
+        if several
+        else (f"{counted(found.groups, 'configuration')} measured more than once")
+    )
+    return tag(
+        "p",
+        f"{repeated} ({counted(found.rows, 'row')}). "
+        f"Repeats scatter by {sigmas_in_words(found.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability} "
+        "No calibration can reliably get below the scatter of the repeats.",
+    )
+
+
+def _outliers(outcome: Outcome) -> list[Content]:
+    """The flagged rows by file and line."""
+    as_read = outcome.measurements.as_read
+    rows = as_read[outcome.outlier[as_read]]
+    why = ["stale" if outcome.measurements.repeats.doubtful[k] else "gross outlier" for k in rows]
+    shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
+    rest = len(rows) - MOST
+    return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]
+
+
+def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], caption: str) -> Markup:
+    """Some rows with the error that the final model leaves.
+
+    Args:
+        outcome: What was found.
+        rows: Their numbers, shape (n,).
+        head: Title of a column with a word on each.
+        words: What stands in it, n of them.
+        caption: What the table shows.
+    """
+    m = outcome.measurements
+    left = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
+    lines = []
+    for i, (k, word) in enumerate(zip(rows, words, strict=True)):
+        part = "held out" if m.test[k] else "fitted"
+        lines.append([row_place(m, int(k)), part, word, *(number(error[i]) for error in left)])
+    titles = [channel.title for channel in outcome.channels]
+    return table(["row", "part", head, *titles], lines, caption, numbers=3)
+
+
+def row_place(m: Dataset, k: int) -> str:
+    """Where a row stands, and what it refers to."""
+    return f"{m.origin.files[m.origin.file[k]].name}, line {m.origin.line[k]}{_of_things(m, k)}"
+
+
+def _of_things(m: Dataset, k: int) -> str:
+    """What a row refers to, in brackets."""
+    roles = labelled(m.blocks[m.labels.block[k]].kind)
+    labels = [str(label) for label in m.labels.refers[k, : len(roles)] if label]
+    return f" ({', '.join(labels)})" if labels else ""
+
+
+def enough(outcome: Outcome) -> Iterator[Content]:
+    """Question 3: is there enough data, in the right places?"""
+    precision, joints = outcome.precision, joint_ranges(outcome)
+    placed = known_scale(outcome.measurements) is not None
+    known = outcome.certainty
+    sigma = {"at the fitted rows": 1e3 * precision.position}
+    if known is not None and known.anywhere.told.any():
+        sigma["over the whole joint range"] = 1e3 * known.anywhere.sigma[known.anywhere.told]
+    placed = placed and (known is None or bool(known.anywhere.told.any()))
+    yield _pictures(joints, sigma if placed else {})
+    yield _joint_table(joints)
+    named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
+    if outcome.measurements.sees_turns:
+        named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
+    lines = []
+    for name, values in named.items():
+        found = statistics(values)
+        lines.append([name, *(number(found[key]) for key in ("median", "p95", "max"))])
+    caption = "1σ of the calibrated target in its worst direction"
+    yield table(["", "median", "95 % below", "max"], lines, caption)
+    yield tag(
+        "p",
+        "This is the uncertainty that the noise of these measurements causes. It does not include errors that the model "
+        "lacks; sections 4 and 5 look for those.",
+    )
+
+
+def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Markup:
+    """Readings between their limits, and the uncertainty of the target [mm] where anything measured its place."""
+    limits = [range_in_words(j.limits, j.kind) for j in joints]
+    names, shares = [j.name for j in joints], [j.share for j in joints]
+    where = coverage("coverage", "Histogram of each joint's readings between its limits", names, shares, limits)
+    drawn: list[tuple[Content, Markup]] = [("Readings of each joint between its limits", where)]
+    if sigma:
+        label = "1σ of the target, worst direction [mm]"
+        known = histogram("precision", f"Histogram of the {label}", sigma, label)
+        drawn.append(("Uncertainty of the calibrated target, propagated from the measurement noise", known))
+    return figures(drawn)
+
+
+def _joint_table(joints: list[JointRange]) -> Markup:
+    """Limits and measured range of every joint."""
+    lines: list[list[Content]] = []
+    for j in joints:
+        limits, seen = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
+        lines.append([tag("code", j.name), limits, seen, f"{100 * j.measured:.0f} %"])
+    head = ["joint", "limits", "measured", "share of the range, or of one turn"]
+    return table(head, lines, "Joint ranges of the fitted rows")

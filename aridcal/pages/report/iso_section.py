@@ -1,0 +1,167 @@
+"""The report on ISO 9283: how well poses are attained that were measured more than once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from markupsafe import Markup
+
+from aridcal.engine.trust.iso9283 import (
+    ASKED_CYCLES,
+    ASKED_HOURS,
+    ASKED_POSES,
+    MEANINGS,
+    OF_FIT,
+    OF_PAIRS,
+    SMALL_BELOW,
+    STANDARD,
+    TURNS,
+    WINDOW,
+    Iso9283,
+    applies,
+)
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.pages.drawing.html import Content, table, tag
+from aridcal.system.wording import counted, number
+
+MOST = 30
+"""Poses that the table lists."""
+
+
+def iso(outcome: Outcome) -> Iterator[Content]:
+    """Accuracy and repeatability by the standard's definitions, before and after."""
+    found = outcome.iso
+    if found is None:
+        yield tag("p", _why_not(outcome))
+        return
+    yield tag("p", what_was_made(found))
+    yield _summary(found)
+    yield tag("p", _definitions(found))
+    yield _poses(found, outcome)
+    yield tag("p", tag("em", _left_out(found, len(found.cycles))))
+
+
+def _why_not(outcome: Outcome) -> str:
+    """Why there are no figures."""
+    if not applies(outcome.measurements):
+        return (
+            f"{STANDARD} does not apply to these measurements: its figures are of attained poses or positions of one target, and "
+            "here rows are of another kind, or of several targets."
+        )
+    return (
+        f"No pose was attained twice, so there are no figures of {STANDARD}. The "
+        f"standard asks for {ASKED_CYCLES} cycles of {ASKED_POSES} poses: repeat some, each time after a move to the others."
+    )
+
+
+def what_was_made(found: Iso9283) -> str:
+    """How many cycles of how many poses, and whether that is what the standard asks for."""
+    counts = found.counts
+    few, many = int(counts.min()), int(counts.max())
+    cycles = counted(few, "cycle") if few == many else f"{few} to {counted(many, 'cycle')}"
+    made = f"{counted(len(counts), 'pose')}, {cycles} of each."
+    asked = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
+    if not found.enough:
+        small = (
+            f" Of fewer than {SMALL_BELOW} cycles RP comes out too small on average, of 3 by a quarter; of two it is not told."
+            if few < SMALL_BELOW
+            else ""
+        )
+        return f"{made} {STANDARD} asks for {asked}: these are figures by its definitions, not tests to it.{small}"
+    return (
+        f"{made} That is as many as {STANDARD} asks for ({asked}). Whether its other conditions were kept (the cube and its "
+        "plane, load, speed, warm-up) the rows do not tell: these are figures by its definitions."
+    )
+
+
+def lines(found: Iso9283) -> list[tuple[str, str, str, str, str]]:
+    """Each characteristic that the rows tell: symbol, meaning with the clause, which poses the worst is of, before, after."""
+    made = []
+    for symbol, (meaning, clause) in MEANINGS.items():
+        of = _which(found, symbol)
+        before, after = _worst(found, symbol)
+        if not np.isnan(after):
+            made.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
+        turns = [_worst(found, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in found.final]
+        if turns and not np.isnan(turns).any():
+            first, last = (", ".join(number(turn[k]) for turn in turns) for k in (0, 1))
+            about = f"{symbol} {', '.join(TURNS)}"
+            made.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
+    return made
+
+
+def _which(found: Iso9283, symbol: str) -> str:
+    """The poses or pairs that the worst figure is of: ``1 held-out pose``, ``15 pairs, fitted``."""
+    mask = found.judged(symbol) & ~np.isnan(found.final[symbol])
+    what = "pair" if symbol in OF_PAIRS else "pose"
+    if symbol not in OF_FIT:
+        return counted(int(mask.sum()), what)
+    new = found.held_out[found.pairs].all(axis=1) if symbol in OF_PAIRS else found.held_out
+    return counted(int(mask.sum()), f"held-out {what}") if new.any() else f"{counted(int(mask.sum()), what)}, fitted"
+
+
+def _worst(found: Iso9283, symbol: str) -> tuple[float, float]:
+    """Before and after, [mm] or [mrad]."""
+    return 1e3 * found.worst(found.nominal, symbol), 1e3 * found.worst(found.final, symbol)
+
+
+def _summary(found: Iso9283) -> Markup:
+    """The worst of each characteristic, before and after."""
+    head = ["symbol", "characteristic (clause)", "worst of", "nominal", "final"]
+    return table(head, lines(found), f"Figures of {STANDARD}", numbers=3)
+
+
+def _definitions(found: Iso9283) -> str:
+    """What is commanded and attained, and what is special about drift."""
+    hours = found.hours[~np.isnan(found.hours)]
+    lasted = (
+        f" Drift is between the first and the last cycles of a pose (at most {WINDOW} each), over "
+        f"{number(float(hours.max()), 2)} h; the standard asks for {ASKED_HOURS:g} h."
+        if not np.isnan(found.final["dAP"]).all()
+        else ""
+    )
+    return (
+        "The commanded pose is the one that the model predicts: nominal is the robot as it obeys the nominal URDF, with only the "
+        "unknown frames fitted, final is the calibrated one. AP is the distance of the mean attained position from it, RP the "
+        "mean distance of the attained positions from their own mean plus three standard deviations, a b c are turns about x, y "
+        "and z of the base. Repeatability is the robot's and the instrument's together; calibration leaves it as it is, unless "
+        "effects explain part of it. Accuracies of poses that were fitted are too optimistic after calibration."
+        f"{lasted}"
+    )
+
+
+def _poses(found: Iso9283, outcome: Outcome) -> Markup:
+    """Each pose with its figures."""
+    m = outcome.measurements
+    rows = []
+    for k, group in enumerate(found.cycles[:MOST]):
+        first = group[0]
+        axes = ", ".join(number(1e3 * float(found.final[f"AP_{axis}"][k]), 2) for axis in "xyz")
+        figures = (found.nominal["AP"], found.final["AP"], found.nominal["RP"], found.final["RP"])
+        rows.append([
+            f"{m.origin.files[m.origin.file[first]].name}, line {m.origin.line[first]}",
+            "held out" if found.held_out[k] else "fitted",
+            f"{len(group):,}",
+            *(number(1e3 * float(values[k])) for values in figures),
+            axes,
+        ])  # fmt: skip
+    head = ["first cycle", "rows", "cycles", "AP nominal", "AP final", "RP nominal", "RP final", "AP x, y, z final"]
+    return table(head, rows, "Pose by pose [mm]", numbers=2)
+
+
+def _left_out(found: Iso9283, poses: int) -> str:
+    """What the table and the figures leave out."""
+    said = []
+    if poses > MOST:
+        said.append(f"{poses - MOST:,} more poses are in result.json.")
+    if len(found.pairs):
+        pairs = counted(len(found.pairs), "pair")
+        said.append(f"{' and '.join(OF_PAIRS)} are of the {pairs} of poses at one station; result.json has each.")
+    if found.copies:
+        said.append(
+            f"{counted(found.copies, 'row')} with the same measurement bit for bit as another cycle: no cycles."
+        )
+    if found.flagged:
+        said.append(f"{counted(found.flagged, 'row')} flagged as outliers: left out.")
+    return " ".join(said)

@@ -1,0 +1,94 @@
+"""The report on how well the target is known over the workspace, and what a region keeps within."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from markupsafe import Markup
+
+from aridcal.engine.trust.certainty import Certainty
+from aridcal.engine.trust.workspace import Workspace
+from aridcal.jobs.calibrate.outcome import Outcome
+from aridcal.pages.drawing.fields import color_steps, field
+from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.words import kept_in_words
+from aridcal.system.wording import number
+
+
+def workspace(outcome: Outcome) -> Iterator[Content]:
+    """Pictures of slices, a table of the whole range and of the region, and what is kept within."""
+    known = outcome.certainty
+    if known is None:
+        return
+    yield tag("h3", "How well the target is known over the workspace")
+    lines = [_line("the joints' whole range", known.anywhere), _line(known.title, known.region)]
+    if not any(part.told.any() for part in (known.anywhere, known.region)):
+        yield tag("p", "No reading tells where the target is: a part of what moves it is seen by no instrument.")
+        return
+    head = [
+        "1σ of the position in its worst direction, mm",
+        "median",
+        "95 % below",
+        "worst",
+        "where, base frame [m]",
+        "measured",
+    ]
+    yield table(head, lines, "Uncertainty of the target over the workspace")
+    yield figures(_slices(known))
+    yield tag(
+        "p",
+        "Each dot is a configuration within the joints' limits that brings the target near the plane. A dot with a hole was not "
+        "measured: outside the ranges seen, or where the prediction is three times as uncertain as at any fitted row. What the "
+        "model lacks there, nobody knows. The sigmas are those of the calibration; errors beyond it are in what follows.",
+    )
+    yield bullets([sentence for asked in (True, False) for _, sentence in kept_in_words(outcome, asked)])
+    for part in known.kept:
+        if not part.rows or np.isnan(part.calibration):
+            continue
+        unit = "mrad" if part.of == "rotation" else "mm"
+        sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))
+        yield tag(
+            "p",
+            f"{part.of.capitalize()}: there the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
+            f"{rest} RMS beyond that and beyond the instrument's declared noise: what the model lacks, and what the arm does not "
+            "repeat.",
+            *(f" Note: {remark}." for remark in part.remarks),
+        )
+
+
+def _line(title: str, part: Workspace) -> list[Content]:
+    """Statistics of the configurations where the target is known."""
+    sigma = 1e3 * part.sigma[part.told]
+    if not len(sigma):
+        return [title, "not known", "", "", "", ""]
+    worst = int(np.argmax(np.where(part.told, part.sigma, -1.0)))
+    where = ", ".join(f"{value:.2f}" for value in part.places[worst])
+    shown = (np.median(sigma), np.percentile(sigma, 95), sigma.max())
+    return [title, *(number(float(value)) for value in shown), where, f"{100 * part.measured.mean():.0f} %"]
+
+
+def _slices(known: Certainty) -> list[tuple[Content, Markup]]:
+    """A picture of each slice."""
+    drawn: list[tuple[Content, Markup]] = []
+    told = [(cut, cut.workspace.select(cut.workspace.told)) for cut in known.slices if cut.workspace.told.any()]
+    if not told:
+        return drawn
+    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in told]))
+    for cut, part in told:
+        first, second = ("xyz"[axis] for axis in cut.axes)
+        across = "xyz"[3 - sum(cut.axes)]
+        what = f"1σ of the target, worst direction, {first}–{second} plane at {across} = {cut.at:.2f} m"
+        labels = (f"base {first} [m]", f"base {second} [m]")
+        plot = field(
+            f"slice-{first}{second}",
+            what,
+            part.places[:, cut.axes],
+            1e3 * part.sigma,
+            labels,
+            "mm",
+            colors,
+            ~part.measured,
+        )
+        drawn.append((what, plot))
+    return drawn

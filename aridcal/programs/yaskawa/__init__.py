@@ -1,8 +1,0 @@
-"""INFORM of Yaskawa: jobs with their positions in //POS, user frames and tools by number, and the controller's files of these."""
-
-from __future__ import annotations
-
-from aridcal.programs.language import Language
-from aridcal.programs.yaskawa.project import ENDING, context, read
-
-ROW = Language("INFORM", (ENDING,), read, context=context)

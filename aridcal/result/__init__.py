@@ -1,1 +1,0 @@
-"""The outcome of a campaign, its figures and files; a calibration in use."""

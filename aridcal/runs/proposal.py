@@ -1,0 +1,22 @@
+"""What is said of a campaign that was proposed."""
+
+from __future__ import annotations
+
+import itertools
+
+from aridcal.jobs.prepare.campaign_text import Draft, scalar
+from aridcal.system.progress import SHOWN_REMARKS, Screen
+
+
+def tell(proposed: Draft, title: str, console: Screen) -> None:
+    """Print what was found and what was guessed, and of how many rows a title can say that they are usable."""
+    by_reason = itertools.groupby(proposed.proposal.guesses, key=lambda guess: (guess.why, guess.sure))
+    for (why, sure), group in by_reason:
+        entries = [guess.name if guess.value is None else f"{guess.name} = {scalar(guess.value)}" for guess in group]
+        console.print("[green]found  [/green]" if sure else "[yellow]guessed[/yellow]", end="  ")
+        console.say(f"{', '.join(entries)}: {why}")
+    rows = proposed.rows
+    for remark in (*rows.origin.refused, *rows.origin.notices)[:SHOWN_REMARKS]:
+        console.say(f"note     {remark}")
+    said = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
+    console.say(said)

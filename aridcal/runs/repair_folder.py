@@ -1,0 +1,92 @@
+"""The folder of a repaired calibration: what moved is found by new rows and fitted, all else kept."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from aridcal.files.tables import AnyTable
+from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.urdf_files import write_urdf
+from aridcal.jobs.maintain.answers import check_lines, left_out_line
+from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
+from aridcal.jobs.maintain.new_rows import read_new_rows
+from aridcal.jobs.maintain.outcomes import RepairOutcomes, repair_outcomes
+from aridcal.jobs.maintain.repair import Repaired, repaired
+from aridcal.pages.drawing.scene import write_scene
+from aridcal.pages.repair_page import write_repair_report
+from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
+from aridcal.system.errors import CampaignError, OutputError
+from aridcal.system.progress import SILENT, Progress
+from aridcal.system.reading.regular_files import CALIBRATION, read_file
+from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.whole_files import atomic_folder, claimed
+
+AGAINST = "where it was calibrated, against the repaired model"
+"""On what exports are scored: ten rows could not say it."""
+
+
+def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Repair a calibration with new rows, and write the folder of what it is now.
+
+    Args:
+        results: The folder of the calibration, or its ``calibration.yaml``.
+        table: See :func:`aridcal.jobs.maintain.new_rows.read_new_rows`.
+        out: The folder to write.
+        progress: Told what is being done.
+
+    Returns:
+        What was found, in words, a line each.
+
+    Raises:
+        AridcalError: nothing can or must be repaired, or something of the input needs mending.
+    """
+    before = results / "calibration.yaml" if results.is_dir() else results
+    if out.resolve() == before.resolve().parent:
+        raise OutputError(f"{out}: holds the calibration that is to be repaired, which is kept; name another")
+    check_apart((out / name for name in RESULT_FILES), [before, table if isinstance(table, Path) else None])
+    with claimed(out, "folder", RESULT_FILES, RESULT_FOLDERS):
+        saved = SavedModel.load(results)
+        content = read_file(before, CampaignError, CALIBRATION)
+        progress("asking what moved")
+        new = read_new_rows(saved, table)
+        checked = check(saved, new.rows, frames=new.frames)
+        mended = repaired(saved, checked)
+        lines = check_lines(checked, mended.changes, saved.measurements)
+        progress("setting the repair beside the rows")
+        made = repair_outcomes(saved, checked, mended)
+        parents = lineage(saved, before, content, checked)
+        notices = _write(out, made, checked, mended, parents, lines, figures_before(before), progress)
+    return (*lines, left_out_line(made), *(f"note: {notice}" for notice in notices))
+
+
+def _write(
+    out: Path,
+    made: RepairOutcomes,
+    checked: Checked,
+    mended: Repaired,
+    parents: dict[str, Any],
+    lines: list[str],
+    figures: dict[str, Any],
+    progress: Progress,
+) -> tuple[str, ...]:
+    """Write the folder's files; returns what could not be drawn."""
+    saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
+    with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
+        (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
+        read = write_urdf(stage / "calibrated.urdf", saved.geometric.model, saved.geometric.theta)
+        if any(not c.basis.always for c in saved.final.model.coefficients):
+            write_urdf(stage / "model.urdf", saved.final.model, saved.final.theta)
+        found = document(made, checked, mended, parents, figures)
+        (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
+        residuals(made).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
+        progress("working out what controllers can be given")
+        handover = replace(hand_over(made.model), rows=f"{len(made.model.measurements)} configurations {AGAINST}")
+        write_controllers(made.model, handover, stage)
+        progress("drawing the report and the scene")
+        notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")
+        return (*read, *notices, *write_scene(made.rows, stage / "scene.html"))

@@ -1,0 +1,108 @@
+"""A simulation, or a calibration from halves of its rows, repeated many times."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aridcal.files.campaign import Campaign
+from aridcal.jobs.fleet.cluster import dask_engine
+from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.run_record import FAILED
+from aridcal.jobs.fleet.study_runs import NAME, Studied, known_runs, studied
+from aridcal.jobs.fleet.trials import sought, trials
+from aridcal.jobs.simulate.scenario import Scenario
+from aridcal.pages.study_page import study_page
+from aridcal.system.errors import shortened
+from aridcal.system.progress import InWords, Progress
+from aridcal.system.wording import counted
+from aridcal.system.writing.whole_files import atomic_file, claimed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+PAGE = "study.html"
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class StudyRun(InWords):
+    """What a study found, for Python.
+
+    Attributes:
+        folder: Of ``study.parquet`` and ``study.html``.
+        cases: A row for each case: shares of runs and median errors, each with its interval (``found_low``, ``found_high``).
+        runs: Every run.
+        effects: Of a campaign: those that runs found, and in what share of them. Of a scenario none; see ``cases``.
+        constants: Of a campaign: how far each scatters over the runs, and what these state, [m] and [rad]. Of a scenario
+            none, for each run has a machine of its own.
+        remaining: Runs that were not done, for the engine went away.
+        lines: The whole answer in words.
+    """
+
+    folder: Path
+    cases: pd.DataFrame
+    runs: pd.DataFrame
+    effects: pd.DataFrame
+    constants: pd.DataFrame
+    remaining: int
+    lines: tuple[str, ...]
+
+
+def study_run(done: Studied, out: Path) -> StudyRun:
+    """What a study found, for Python."""
+    from aridcal.pages.fleet_tables import again_table, case_table, run_table, scatter_table
+
+    halves = [row for row in done.rows if row["rows"] is None]
+    return StudyRun(
+        folder=out,
+        cases=case_table(done),
+        runs=run_table(done),
+        effects=again_table(halves),
+        constants=scatter_table(halves),
+        remaining=done.remaining,
+        lines=tuple(summary(done)),
+    )
+
+
+def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progress: Progress) -> Studied:
+    """Do the runs of a study that are not there yet, and write table and page.
+
+    Args:
+        job: As it was read.
+        out: The study's folder.
+        scheduler: Address of a Dask cluster; None: processes of this computer.
+        progress: Told how far it is.
+
+    Raises:
+        AridcalError: the folder cannot be used, or the engine not be had.
+    """
+    with claimed(out, "folder", (NAME, PAGE)):
+        out.mkdir(exist_ok=True)
+        every = trials(job)
+        known = known_runs(out, every)
+        needed = len(known) < len(every)
+        with dask_engine(scheduler, progress) if needed else nullcontext(here) as engine:
+            done = studied(every, known, out, engine, progress)
+        progress("drawing the page")
+        title = job.path.absolute().parent.name + "/" + job.path.name
+        with atomic_file(out / PAGE) as path:
+            page = study_page(done, title, sought(job), isinstance(job, Campaign))
+            path.write_bytes(page.encode("utf-8", "replace"))
+    return done
+
+
+def summary(done: Studied) -> list[str]:
+    """What became of the study, in lines."""
+    failed = [row for row in done.rows if row["status"] == FAILED]
+    known = f", {done.kept:,} of them known already" if done.kept else ""
+    lines = [f"{len(done.rows) - len(failed):,} of {counted(len(done.rows) + done.remaining, 'run')} done{known}"]
+    if failed:
+        lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
+    if done.remaining:
+        lines.append(
+            f"{counted(done.remaining, 'run')} remain, for {done.gone}; start the same command again: what is done stays"
+        )
+    return lines

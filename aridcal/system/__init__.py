@@ -1,0 +1,1 @@
+"""Disk, locks, signals, readers with limits, progress, errors: what every wing stands on."""
