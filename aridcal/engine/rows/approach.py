@@ -17,17 +17,17 @@ def approach(reading: np.ndarray, still: float, side: float = 0.0, last: float =
     Args:
         reading: Shape (N,), [rad] or [m]; rows of NaN are passed over.
         still: A joint that moves by less keeps its side, [rad] or [m].
-        side: From which it came to the row before the first; 0 where that is not known.
-        last: Its reading there; NaN where there is none.
+        side: From which it came to the row before the first; 0 where nobody knows.
+        last: Its reading in the row before the first; NaN where there is none.
     """
-    seen = np.flatnonzero(~np.isnan(reading))
-    by = np.diff(reading[seen], prepend=last)
-    moved = np.abs(by) > still
-    sides, at = np.zeros(len(reading)), np.full(len(reading), -1)
-    sides[seen[moved]] = np.sign(by[moved])
-    at[seen[moved]] = seen[moved]
-    at = np.maximum.accumulate(at)
-    return np.where(at < 0, side, sides[at])
+    rows = np.flatnonzero(~np.isnan(reading))
+    step = np.diff(reading[rows], prepend=last)
+    moves = np.abs(step) > still
+    sides, latest = np.zeros(len(reading)), np.full(len(reading), -1)
+    sides[rows[moves]] = np.sign(step[moves])
+    latest[rows[moves]] = rows[moves]
+    latest = np.maximum.accumulate(latest)
+    return np.where(latest < 0, side, sides[latest])
 
 
 def with_directions(rows: Dataset) -> Dataset:
@@ -37,16 +37,18 @@ def with_directions(rows: Dataset) -> Dataset:
     back within what counts as the same configuration keeps its side. Where rows are in no order, or others were measured
     in between, the column is chance, and no effect will depend on it.
     """
-    found: dict[str, np.ndarray] = {}
+    directions: dict[str, np.ndarray] = {}
     time = rows.covariates.get("time")
     for name, still, reading in zip(rows.names, tolerances(rows.kinds).tolist(), rows.readings.T, strict=True):
         column = f"{name}_direction"
         if column in rows.covariates:
             continue
-        found[column] = np.zeros(len(rows), dtype=np.int8)  # a million rows of six joints: 6 MB instead of 48
+        directions[column] = np.zeros(len(rows), dtype=np.int8)  # a million rows of six joints: 6 MB instead of 48
         for file in np.unique(rows.origin.file):
-            own = np.flatnonzero(rows.origin.file == file)
-            timed = time is not None and np.isfinite(time[own]).all()
-            own = own[np.argsort(time[own] if time is not None and timed else rows.origin.line[own], kind="stable")]
-            found[column][own] = approach(reading[own], still)
-    return replace(rows, covariates=rows.covariates | found).with_origin(derived=tuple(found))
+            of_file = np.flatnonzero(rows.origin.file == file)
+            timed = time is not None and np.isfinite(time[of_file]).all()
+            of_file = of_file[
+                np.argsort(time[of_file] if time is not None and timed else rows.origin.line[of_file], kind="stable")
+            ]
+            directions[column][of_file] = approach(reading[of_file], still)
+    return replace(rows, covariates=rows.covariates | directions).with_origin(derived=tuple(directions))

@@ -78,12 +78,12 @@ class Dataset:
 
     @property
     def position(self) -> np.ndarray:
-        """Place of the target in the world frame as rows tell it alone, shape (N, 3), [m]; NaN where they do not."""
+        """Place of the target in the world frame as rows tell it by themselves, shape (N, 3), [m]; NaN where they do not."""
         return self._placed[0]
 
     @property
     def rotation(self) -> np.ndarray | None:
-        """The same of its rotation, shape (N, 3, 3); None where no row tells it."""
+        """Rotation of the target in the world frame as rows tell it by themselves, shape (N, 3, 3), or None."""
         return self._placed[1]
 
     @cached_property
@@ -91,30 +91,30 @@ class Dataset:
         """Positions and rotations of the target, of the kinds that tell them."""
         position, rotation = np.full((len(self), 3), np.nan), None
         for number, block in enumerate(self.blocks):
-            own = slice(None) if len(self.blocks) == 1 else np.flatnonzero(self.labels.block == number)
+            rows = slice(None) if len(self.blocks) == 1 else np.flatnonzero(self.labels.block == number)
             place = block.traits.placed
             if place is None or not self.observed.shape[1]:
                 continue
-            p, R = place(block.traits.numbers(self.observed[own]), self.beforehand(number, own))
+            p, R = place(block.traits.numbers(self.observed[rows]), self.beforehand(number, rows))
             if len(self.blocks) == 1:
                 return p, R
-            position[own] = p
+            position[rows] = p
             if R is not None:
                 rotation = np.full((len(self), 3, 3), np.nan) if rotation is None else rotation
-                rotation[own] = R
+                rotation[rows] = R
         return position, rotation
 
-    def beforehand(self, number: int, own: np.ndarray | slice) -> list[np.ndarray]:
-        """What is known beforehand of the things of some rows of a block, (n, P) for each role; 0 of what has no fault."""
-        found = []
+    def beforehand(self, number: int, rows: np.ndarray | slice) -> list[np.ndarray]:
+        """States known beforehand of the things of some rows of a block, (n, P) for each role; 0 where a role has no faults."""
+        states = []
         for k, role in enumerate(self.blocks[number].traits.roles):
-            label, things = self.labels.refers[own, k], self.instruments.things.get(role.name)
+            label, things = self.labels.refers[rows, k], self.instruments.things.get(role.name)
             if things is None:
-                found.append(np.zeros((len(label), role.size)))
+                states.append(np.zeros((len(label), role.size)))
                 continue
-            place = {name: at for at, name in enumerate(things.names)}
-            found.append(things.start[[place[name] for name in label.tolist()]])
-        return found
+            index = {name: at for at, name in enumerate(things.names)}
+            states.append(things.start[[index[name] for name in label.tolist()]])
+        return states
 
     @property
     def train(self) -> np.ndarray:
@@ -134,7 +134,7 @@ class Dataset:
 
     @property
     def sees_turns(self) -> bool:
-        """False where the target is a point: turns of its own change nothing that is measured."""
+        """False where the target is a point in all rows: its own turns change nothing that is measured."""
         return any(block.traits.turns for block in self.blocks)
 
     @property
@@ -174,24 +174,24 @@ class Dataset:
         )
 
     def with_labels(self, **changes: Any) -> Dataset:
-        """The same rows with other of their :class:`Labels`."""
+        """The rows with some of their :class:`Labels` replaced."""
         return replace(self, labels=replace(self.labels, **changes))
 
     def with_repeats(self, **changes: Any) -> Dataset:
-        """The same rows with other of their :class:`Repeats`."""
+        """The rows with some of their :class:`Repeats` replaced."""
         return replace(self, repeats=replace(self.repeats, **changes))
 
     def with_origin(self, **changes: Any) -> Dataset:
-        """The same rows with another :class:`Origin` in part."""
+        """The rows with parts of their :class:`Origin` replaced."""
         return replace(self, origin=replace(self.origin, **changes))
 
     def declared(self, estimate: np.ndarray) -> np.ndarray:
         """Sigma of each channel, shape (C,): as declared, and the estimate where nothing is declared."""
-        return np.array([stated or seen for stated, seen in zip(self.sigma, estimate, strict=True)])
+        return np.array([sigma or estimated for sigma, estimated in zip(self.sigma, estimate, strict=True)])
 
 
 def together(parts: Sequence[Dataset]) -> Dataset:
-    """Several blocks of rows of the same joints as one data set, one after the other; weights are left to be made.
+    """Several blocks of rows of the same joints as one data set, one after the other; without weights.
 
     Rows repeat a configuration only if they also are of one block, and refer to the same things and the same target.
 
@@ -240,22 +240,22 @@ def together(parts: Sequence[Dataset]) -> Dataset:
 
 
 def _named_apart(parts: Sequence[Dataset]) -> list[Dataset]:
-    """The same with channels whose names are not those of another part's: they begin with the block's."""
+    """The parts with channels of different names: where two parts share one, it begins with the name of its block."""
     names = Counter(channel.name for part in parts for channel in part.channels)
-    apart = []
+    renamed = []
     for part in parts:
         (block,) = part.blocks
         channels = tuple(
             replace(c, name=f"{block.name}_{c.name}", noun=f"{c.noun} of {block.name}") if names[c.name] > 1 else c
             for c in part.channels
         )
-        apart.append(replace(part, blocks=(replace(block, channels=channels),)))
-    return apart
+        renamed.append(replace(part, blocks=(replace(block, channels=channels),)))
+    return renamed
 
 
 @dataclass(frozen=True)
 class RowNoise:
-    """What is known of the rows' noise beyond the channels' sigmas.
+    """Noise of the rows beyond the channels' sigmas.
 
     Attributes:
         std: 1-sigma of each number of the rows in world axes, shape (N, m), or None.
@@ -297,7 +297,7 @@ def dataset(
     """
     n = len(readings)
     nothing = np.zeros(n, dtype=bool)
-    made = Dataset(
+    data = Dataset(
         names=tuple(names),
         kinds=tuple(kinds),
         readings=readings,
@@ -315,7 +315,7 @@ def dataset(
             split_given=test is not None,
         ),
     )
-    return made if noise is None else weighed(made, noise)
+    return data if noise is None else weighed(data, noise)
 
 
 def _tracked(rotation: np.ndarray | None, sigma: Sequence[float | None]) -> Block:
@@ -326,7 +326,7 @@ def _tracked(rotation: np.ndarray | None, sigma: Sequence[float | None]) -> Bloc
 
 
 def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None = None) -> Dataset:
-    """The same rows, of which a tracker without faults has given other places of the target, (N, 3) and (N, 3, 3)."""
+    """The rows with other places of the target, (N, 3) and (N, 3, 3), as of a tracker without faults."""
     nothing = untold(len(data))
     return replace(
         data,
@@ -338,7 +338,7 @@ def with_places(data: Dataset, position: np.ndarray, rotation: np.ndarray | None
 
 
 def weighed(data: Dataset, noise: RowNoise) -> Dataset:
-    """The same rows with what is known of their noise; the split must be final, for the training rows set the scale."""
+    """The rows with their noise; the split must be final, for the training rows set the scale."""
     if noise.covariance is not None:
         std = np.sqrt(np.diagonal(noise.covariance, axis1=1, axis2=2))
     elif noise.std is not None:
@@ -365,25 +365,25 @@ def with_sigma(data: Dataset, sigma: Sequence[float | None]) -> Dataset:
 
 
 def weighed_apart(data: Dataset, noises: Sequence[RowNoise]) -> Dataset:
-    """The same rows with what is known of the noise of each block's; the split must be final."""
+    """The rows with the noise of each block's rows; the split must be final."""
     if all(noise.std is None for noise in noises):
         return data
     sigma, ends = [], np.cumsum([0, *(sum(channel.size for channel in block.channels) for block in data.blocks)])
     relative = np.ones((len(data), ends[-1]))
     for number, noise in enumerate(noises):
-        own = data.labels.block == number
-        made = weighed(of_block(data, number, own), noise)
-        sigma += list(made.sigma)
-        if made.relative is not None:
-            relative[own, ends[number] : ends[number + 1]] = made.relative
+        rows = data.labels.block == number
+        part = weighed(of_block(data, number, rows), noise)
+        sigma += list(part.sigma)
+        if part.relative is not None:
+            relative[rows, ends[number] : ends[number + 1]] = part.relative
     return with_sigma(replace(data, relative=relative), sigma)
 
 
-def of_block(data: Dataset, number: int, own: np.ndarray) -> Dataset:
-    """Rows of one block alone, shape (N,) bool or numbers, with its channels and nothing known of their noise."""
-    rows = data.select(own)
-    block = replace(rows.labels, block=np.zeros(len(rows), dtype=int))
-    return replace(rows, blocks=(data.blocks[number],), labels=block, relative=None)
+def of_block(data: Dataset, number: int, rows: np.ndarray) -> Dataset:
+    """The data of some rows of one block, a mask or numbers, with its channels alone and without the rows' own noise."""
+    part = data.select(rows)
+    block = replace(part.labels, block=np.zeros(len(part), dtype=int))
+    return replace(part, blocks=(data.blocks[number],), labels=block, relative=None)
 
 
 def _typical(std: np.ndarray, channels: Channels) -> np.ndarray:
@@ -407,12 +407,12 @@ def factors(covariance: np.ndarray, typical: np.ndarray, channels: Channels) -> 
         typical: Typical sigma of each channel, shape (C,).
         channels: C channels of m numbers in all.
     """
-    left, L = np.array(covariance, dtype=float), np.zeros_like(covariance, dtype=float)
+    remaining, L = np.array(covariance, dtype=float), np.zeros_like(covariance, dtype=float)
     for part, sigma in reversed(list(zip(columns(channels), typical.tolist(), strict=True))):
-        root = np.linalg.cholesky(left[:, part, part])
+        root = np.linalg.cholesky(remaining[:, part, part])
         L[:, part, part] = root / sigma
         before = slice(0, part.start)
-        lever = np.linalg.solve(root, left[:, part, before]).transpose(0, 2, 1)
+        lever = np.linalg.solve(root, remaining[:, part, before]).transpose(0, 2, 1)
         L[:, before, part] = lever / sigma
-        left[:, before, before] -= lever @ lever.transpose(0, 2, 1)
+        remaining[:, before, before] -= lever @ lever.transpose(0, 2, 1)
     return L

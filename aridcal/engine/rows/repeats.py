@@ -10,26 +10,26 @@ from aridcal.engine.robot.chain import JointKind
 
 SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
 
-BOX = 32.0
+CELLS_OF_A_BOX = 32.0
 """Cells along a box in which rows are looked for that repeat one another: few share one by chance, and few stand at its edge."""
 
 
-COMPARED = 1000
+MOST_COMPARED = 1000
 """Rows at the most whose distances tell whether rows lie in places; of more rows those that one joint has closest together."""
 
-GAP = 4.0
+LEAST_GAP = 4.0
 """Factor between two distances within which next to no chains of rows join, where rows lie in places."""
 
-IN_GAP = 0.02
+MOST_JOINED_IN_GAP = 0.02
 """Chains that join in that gap, as a share of those that join below: a stray row or two may lie between places."""
 
-SMALL = 1 / 3
-"""Of the usual difference of two rows, what the lower end of the gap may be: what is wider is no place."""
+WIDEST_PLACE = 1 / 3
+"""Widest place, as a share of the usual difference of two rows: the gap's lower end may be no further up."""
 
-MOVES = 30.0
+LEAST_MOTION = 30.0
 """Of what repeats a configuration: a joint moves if half of all rows differ by more, 30 mrad or 3 mm; less is scatter."""
 
-ACCOMPANIED = 0.3
+LEAST_ACCOMPANIED = 0.3
 """Share of rows that have others at their place, from which rows are said to lie in places."""
 
 FEWEST_PLACES = 8
@@ -77,15 +77,15 @@ def places(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
 
 
 def _usual(readings: np.ndarray, kinds: Sequence[JointKind]) -> np.ndarray:
-    """The usual difference of two rows along each coordinate, shape (coordinates,); more than scatter where one hardly moves."""
+    """The median difference of two rows along each coordinate, shape (coordinates,); never as little as scatter."""
     rng = np.random.default_rng(0)
-    some = [values[rng.permutation(len(values))[:COMPARED]] for values in _coordinates(readings, kinds)]
+    some = [values[rng.permutation(len(values))[:MOST_COMPARED]] for values in _coordinates(readings, kinds)]
     usual = [np.median(np.abs(values - np.roll(values, 1))) for values in some]
-    return np.maximum(usual, MOVES * _tolerances_of_coordinates(kinds))
+    return np.maximum(usual, LEAST_MOTION * _tolerances_of_coordinates(kinds))
 
 
 def _gap(readings: np.ndarray, kinds: Sequence[JointKind], units: np.ndarray) -> float | None:
-    """The distance, in these units, that parts places; None where there is none."""
+    """The distance that parts places, in the units of the coordinates; None where rows do not lie in places."""
     from scipy.cluster.hierarchy import fcluster, linkage  # slow to load
 
     if len(readings) < 2 * FEWEST_PLACES:
@@ -93,24 +93,24 @@ def _gap(readings: np.ndarray, kinds: Sequence[JointKind], units: np.ndarray) ->
     points = np.column_stack(list(_coordinates(_close_in_one_joint(readings), kinds))) / units
     tree = linkage(points, "single", "chebyshev")
     joins = tree[:, 2]
-    same = float(np.max(_tolerances_of_coordinates(kinds) / units))
+    tolerance = float(np.max(_tolerances_of_coordinates(kinds) / units))
     for below in range(len(joins) - FEWEST_PLACES, -1, -1):  # the widest places first
-        low = max(float(joins[below]), same)
-        high = float(joins[min(below + 1 + int(IN_GAP * (below + 1)), len(joins) - 1)])
-        if low > SMALL or high < GAP * low:
+        low = max(float(joins[below]), tolerance)
+        high = float(joins[min(below + 1 + int(MOST_JOINED_IN_GAP * (below + 1)), len(joins) - 1)])
+        if low > WIDEST_PLACE or high < LEAST_GAP * low:
             continue
-        if _accompanied(points, fcluster(tree, low, "distance") - 1, high) >= ACCOMPANIED:
+        if _accompanied(points, fcluster(tree, low, "distance") - 1, high) >= LEAST_ACCOMPANIED:
             return float(np.sqrt(low * min(high, 1.0)))
     return None
 
 
 def _close_in_one_joint(readings: np.ndarray) -> np.ndarray:
-    """All rows, or of very many those around the middle of the joint that moves the most: most places are whole among these."""
-    if len(readings) <= COMPARED:
+    """All rows; of very many those around the middle of the joint that moves the most, among which most places are whole."""
+    if len(readings) <= MOST_COMPARED:
         return readings
     widest = np.argmax(np.std(readings, axis=0))
-    first = (len(readings) - COMPARED) // 2
-    return readings[np.argpartition(readings[:, widest], (first, first + COMPARED))[first : first + COMPARED]]
+    first = (len(readings) - MOST_COMPARED) // 2
+    return readings[np.argpartition(readings[:, widest], (first, first + MOST_COMPARED))[first : first + MOST_COMPARED]]
 
 
 def _accompanied(points: np.ndarray, place: np.ndarray, narrow: float) -> float:
@@ -119,23 +119,23 @@ def _accompanied(points: np.ndarray, place: np.ndarray, narrow: float) -> float:
     low, high = (np.full((len(count), points.shape[1]), fill) for fill in (np.inf, -np.inf))
     np.minimum.at(low, place, points)
     np.maximum.at(high, place, points)
-    whole = (count > 1) & np.all(high - low < narrow, axis=1)
-    return float(count[whole].sum() / len(points))
+    narrow_group = (count > 1) & np.all(high - low < narrow, axis=1)
+    return float(count[narrow_group].sum() / len(points))
 
 
 def _coordinates(readings: np.ndarray, kinds: Sequence[JointKind]) -> Iterator[np.ndarray]:
-    """What rows are compared by, shape (N,) each: readings, cosine and sine of those that turn for ever."""
+    """Coordinates by which rows are compared, shape (N,) each: readings; cosine and sine of joints that turn without end."""
     for reading, kind in zip(readings.T, kinds, strict=True):
         yield from (np.cos(reading), np.sin(reading)) if kind == "continuous" else (reading,)
 
 
 def _tolerances_of_coordinates(kinds: Sequence[JointKind]) -> np.ndarray:
-    """How far rows may be apart along each of them and still repeat a configuration, shape (coordinates,)."""
+    """How far rows may be apart along each coordinate and still repeat a configuration, shape (coordinates,)."""
     return np.repeat(tolerances(kinds), [2 if kind == "continuous" else 1 for kind in kinds])
 
 
 def _joined(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -> np.ndarray:
-    """Labels in order of appearance, shape (N,): rows that are nearer than these along every coordinate share one, in chains."""
+    """Labels in order of appearance, shape (N,): rows nearer than ``near`` along every coordinate share one, in chains."""
     label = np.arange(len(readings))
     some = _near_others(readings, kinds, near)
     if len(some):
@@ -152,13 +152,14 @@ def _cells(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -
 def _near_others(readings: np.ndarray, kinds: Sequence[JointKind], near: np.ndarray) -> np.ndarray:
     """Rows that may be less than three cells from another along every coordinate, in order: all that are, and few others.
 
-    Those share a box of :data:`BOX` cells, where a row also counts to the box below along each coordinate in which it is one of
-    its box's first two cells. Boxes are told apart by sums of their numbers times large odd ones: two of one sum cost time alone.
+    Those share a box of :data:`CELLS_OF_A_BOX` cells, where a row also counts to the box below along each coordinate in which it
+    is in one of its box's first two cells. Boxes are told apart by sums of their numbers times large odd ones: two boxes of one
+    sum cost time alone.
     """
     odd = np.random.default_rng(0)
     key, row = np.zeros(len(readings), dtype=np.int64), np.arange(len(readings))
     for cell in _cells(readings, kinds, near):
-        box, place = np.divmod(cell, BOX)
+        box, place = np.divmod(cell, CELLS_OF_A_BOX)
         factor = 2 * odd.integers(2**62) + 1
         key += (box.astype(np.int64) * factor)[row]
         low = np.flatnonzero((place < 2.0)[row])
@@ -185,7 +186,7 @@ def _chained(cells: np.ndarray) -> np.ndarray:
 
 
 def by_appearance(labels: np.ndarray) -> np.ndarray:
-    """The same labels, whole numbers from 0 on, as 0, 1, ... in order of appearance, shape (N,)."""
+    """Labels, whole numbers from 0 on, numbered anew as 0, 1, ... in order of appearance, shape (N,)."""
     labels = np.asarray(labels, dtype=int)
     first = np.zeros(labels.max(initial=-1) + 1, dtype=int)
     first[labels[::-1]] = np.arange(len(labels))[::-1]  # of several the last that is written stays

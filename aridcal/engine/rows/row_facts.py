@@ -25,7 +25,7 @@ class Origin:
     Attributes:
         file: Index into `files`, shape (N,).
         line: Line of the file, the header being line 1, shape (N,).
-        order: The same counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
+        order: The line, counted on through the files; infinite in rows that came after all that was fitted, shape (N,).
         files: The files that were read.
         sha256: Hash of their bytes; of several blocks, of the blocks' hashes.
         refused: Rows that cannot be used, each named once; they are not among the N.
@@ -74,7 +74,7 @@ class Repeats:
     Attributes:
         configuration: Number of the row's configuration: rows that repeat one share it, shape (N,).
         stale: Rows whose measurement repeats an earlier one bit for bit although the joints moved, shape (N,) bool.
-        doubtful: The same rows and those that they repeat: that the later one is stale, the order of rows says alone.
+        doubtful: The stale rows and those that they repeat: only the order of rows says that the later one is stale.
         share: Of a measurement that each row counts for: 1, or less where several rows are one measurement of one body.
     """
 
@@ -85,18 +85,18 @@ class Repeats:
 
 
 def untold(rows: int) -> Labels:
-    """Labels of rows of one block that refer to nothing: they stand in memory once, for of a million rows they would count."""
+    """Labels of rows of one block that refer to nothing; held in memory once, for those of a million rows would count."""
     return Labels(np.broadcast_to(0, rows), np.broadcast_to("", (rows, ROLES)))
 
 
 def selected(facts: Facts, rows: np.ndarray | slice) -> Facts:
-    """Those of some rows, chosen by a mask or by indices; what is of all rows stays."""
+    """The facts of some rows, chosen by a mask or by indices: arrays are cut, all else stays."""
     values = {f.name: getattr(facts, f.name) for f in fields(facts)}
     return replace(facts, **{name: _cut(v, rows) for name, v in values.items() if isinstance(v, np.ndarray)})
 
 
 def _cut(values: np.ndarray, rows: np.ndarray | slice) -> np.ndarray:
-    """Some rows of an array; of one whose rows are all one in memory those stay it."""
+    """Some rows of an array; rows that share one place in memory go on sharing it."""
     if len(values) and values.strides[0] == 0 and not isinstance(rows, slice):
         count = np.count_nonzero(rows) if np.asarray(rows).dtype == bool else len(rows)
         return np.broadcast_to(values[0], (int(count), *values.shape[1:]))

@@ -21,20 +21,20 @@ FEW_ROWS = 12
 
 
 def held_together(data: Dataset) -> np.ndarray:
-    """Numbers of what is held back as one, shape (N,): the rows of a place; of things with few rows, all rows of one.
+    """Numbers of the groups of rows that are held back together, shape (N,): those of a place, or all of a thing that has few.
 
-    What a row says of a thing that has few rows, the others know: held back alone it would not be new.
+    A row of a thing that has few rows, held back alone, would say nothing new: the thing's other rows know it.
     """
     return _with_things(data, places(data.readings, data.kinds))
 
 
 def repeated(data: Dataset) -> np.ndarray:
-    """Numbers of configurations, shape (N,), for rows of a place that err independently; of things with few rows, all of one."""
+    """Numbers of configurations, shape (N,), where rows of a place err independently; of a thing with few rows all are one."""
     return _with_things(data, blocks(data.readings, data.kinds))
 
 
 def _with_things(data: Dataset, of_arm: np.ndarray) -> np.ndarray:
-    """Numbers of rows of one arm's place, shape (N,), but of things with few rows all rows of one."""
+    """The numbers of the arm's places or configurations, shape (N,), with all rows of a thing that has few under one number."""
     if data.direct:
         return of_arm
     labels = np.column_stack([data.labels.block.astype(str), data.labels.refers])
@@ -62,7 +62,7 @@ def draw_split(block: np.ndarray, seed: int) -> np.ndarray:
 
 
 def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> Dataset:
-    """The same rows with training rows of everything that they refer to, and of every station that has a frame of its own.
+    """A data set that has training rows of everything its rows refer to, and of every station that has a frame of its own.
 
     Args:
         data: N rows with their split.
@@ -81,8 +81,8 @@ def with_training_rows(data: Dataset, per_station: bool, drawn: np.ndarray) -> D
         if not lone:
             continue
         alone = np.isin(labels, lone)
-        if name == "station" and (stated := alone & ~drawn).any():
-            first = labels[stated][0]
+        if name == "station" and (of_table := alone & ~drawn).any():
+            first = labels[of_table][0]
             raise MeasurementError(f"station {str(first)!r} has only `test` rows: its frame cannot be identified")
         needed = alone & drawn
         if needed.any():
@@ -100,10 +100,10 @@ def _labels(data: Dataset, per_station: bool) -> Iterator[tuple[str, np.ndarray]
         yield "station", data.labels.station
     of_role: dict[str, np.ndarray] = {}
     for number, block in enumerate(data.blocks):
-        own = data.labels.block == number
+        rows = data.labels.block == number
         for k, role in enumerate(() if block.traits.tracked else block.traits.roles):  # a tracker has no label yet
             labels = of_role.setdefault(role.name, np.zeros(len(data), dtype=data.labels.refers.dtype))
-            labels[own] = data.labels.refers[own, k]
+            labels[rows] = data.labels.refers[rows, k]
     yield from of_role.items()
     if data.labels.target is not None:
         yield "target", data.labels.target
