@@ -155,8 +155,8 @@ def test_a_long_chain_in_parts_has_the_poses_and_columns_of_the_whole(monkeypatc
         return *model.poses(theta, model.rows(q, None, station)), *model.jacobian(theta, model.rows(q, None, station))
 
     whole = asked()
-    monkeypatch.setattr(extended, "WHOLE", 10)
-    monkeypatch.setattr(extended, "SEGMENT", 7)
+    monkeypatch.setattr(extended, "MOST_JOINTS", 10)
+    monkeypatch.setattr(extended, "JOINTS_OF_A_SEGMENT", 7)
     for a, b in zip(asked(), whole, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
 

@@ -17,7 +17,7 @@ from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.problem import problem as ask
 from aridcal.engine.fit.residual import linearise, moved_by
 from aridcal.engine.instruments.channels import columns
-from aridcal.engine.model.local import WORTH
+from aridcal.engine.model.local import LEAST_HATS
 from aridcal.engine.model.model import Model
 from aridcal.engine.trust.coverage import Seen
 from aridcal.engine.trust.workspace import Knowledge, shifted, target_covariance
@@ -130,7 +130,7 @@ def test_columns_of_the_last_coefficients_are_those_among_all() -> None:
 
 def test_few_hat_functions_and_those_of_stations_have_columns() -> None:
     model, _ = mapped()
-    assert sum(c.basis.form == "bump" for c in model.coefficients) >= WORTH
-    assert mapped(WORTH // 6)[0].local is None
+    assert sum(c.basis.form == "bump" for c in model.coefficients) >= LEAST_HATS
+    assert mapped(LEAST_HATS // 6)[0].local is None
     first, *others = model.coefficients
     assert model.with_coefficients([replace(first, station="A"), *others]).local is None

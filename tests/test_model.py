@@ -15,7 +15,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants, stage_urdf
-from aridcal.engine.model.many_rows import BLOCK, MANY
+from aridcal.engine.model.many_rows import BLOCK, LEAST_TOGETHER
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.doty import doty_links, link_transform
@@ -90,18 +90,18 @@ def rows_of(model: Model, n: int = 6, seed: int = 1):  # type: ignore[no-untyped
 def test_many_rows_walked_together_are_where_pinocchio_has_each(robot: str, which: str) -> None:
     model = build(EVERY[robot](), SETS[which](EVERY[robot]()))
     theta = np.random.default_rng(5).uniform(-0.1, 0.1, len(model.coefficients))
-    _, rows = rows_of(model, MANY + 20)
+    _, rows = rows_of(model, LEAST_TOGETHER + 20)
     theta[[not c.basis.constant for c in model.coefficients]] /= np.maximum(
         np.abs(rows.phi).max(axis=0), 1e-9
     )  # loads are large
     together = (*model.jacobian(theta, rows), *model.poses(theta, rows))
-    few = [rows[slice(start, start + MANY // 2)] for start in range(0, len(rows), MANY // 2)]
+    few = [rows[slice(start, start + LEAST_TOGETHER // 2)] for start in range(0, len(rows), LEAST_TOGETHER // 2)]
     one_by_one = [(*model.jacobian(theta, some), *model.poses(theta, some)) for some in few]
     for found, each in zip(together, zip(*one_by_one, strict=True), strict=True):
         np.testing.assert_allclose(found, np.concatenate(each), rtol=0, atol=2e-14 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("count", [MANY // 2, MANY + 20])
+@pytest.mark.parametrize("count", [LEAST_TOGETHER // 2, LEAST_TOGETHER + 20])
 def test_what_turns_about_the_target_does_not_move_it_by_a_rounding(count: int) -> None:
     """A column of roundings looks like any other, once it is brought to length 1."""
     arm, rng = robots.arid(), np.random.default_rng(2)

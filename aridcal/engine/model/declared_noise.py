@@ -1,4 +1,4 @@
-"""Rows whose noise depends on where the things are that they refer to: a shot's pose is as sure as its camera is sharp."""
+"""Noise of rows that depends on where the things are that they refer to: a shot's pose is as sure as its camera is sharp."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aridcal.engine.rows.dataset import Dataset, RowNoise, of_block, weighed, wi
 
 
 def with_stated_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Dataset:
-    """The rows weighed by what they state of their own noise; those of kinds that state nothing as they are.
+    """The rows weighed by the noise that they declare themselves; rows of kinds that declare none stay as they are.
 
     Args:
         data: N rows of m numbers; their split must be final.
@@ -24,25 +24,25 @@ def with_stated_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Datase
     if data.relative is not None:
         wide = data.relative.ndim == 3
         relative = data.relative.copy() if wide else data.relative[:, :, None] * np.eye(width)
-    sigma, found, first, channel = list(data.sigma), False, 0, 0
+    sigma, changed, first, channel = list(data.sigma), False, 0, 0
     for number, block in enumerate(data.blocks):
-        kind, own = KINDS[block.kind], np.flatnonzero(data.labels.block == number)
-        if kind.noise is not None and block.rows != "ignore" and len(own):
-            now = [
+        kind, rows = KINDS[block.kind], np.flatnonzero(data.labels.block == number)
+        if kind.noise is not None and block.rows != "ignore" and len(rows):
+            things = [
                 states[role.name][
-                    [data.instruments.things[role.name].names.index(t) for t in data.labels.refers[own, k]]
+                    [data.instruments.things[role.name].names.index(t) for t in data.labels.refers[rows, k]]
                 ]
                 for k, role in enumerate(kind.roles)
             ]
-            covariance = kind.noise(kind.numbers(data.observed[own]), now)
+            covariance = kind.noise(kind.numbers(data.observed[rows]), things)
             count = len(kind.channels)
             noise = RowNoise(covariance=covariance, absolute=block.rows == "absolute")
-            stated = replace(block, channels=kind.channels, sigma=block.sigma[:count])
-            made = weighed(replace(of_block(data, number, own), blocks=(stated,)), noise)
+            reduced = replace(block, channels=kind.channels, sigma=block.sigma[:count])
+            part = weighed(replace(of_block(data, number, rows), blocks=(reduced,)), noise)
             some = slice(first, first + covariance.shape[1])
-            relative[own, some, some] = made.relative
-            sigma[channel : channel + count] = made.sigma
-            found = True
+            relative[rows, some, some] = part.relative
+            sigma[channel : channel + count] = part.sigma
+            changed = True
         first += sum(c.size for c in block.channels)
         channel += len(block.channels)
-    return with_sigma(replace(data, relative=relative), sigma) if found else data
+    return with_sigma(replace(data, relative=relative), sigma) if changed else data

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect import LINK_COMPONENTS, Coefficient
 from aridcal.engine.model.joint_motions import Motion, joint_model, motion, rank, transform
-from aridcal.engine.model.many_rows import MANY, Moving, Stepped, stepped, twists, walked
+from aridcal.engine.model.many_rows import LEAST_TOGETHER, Moving, Stepped, stepped, twists, walked
 from aridcal.engine.robot.chain import Fixed, Joint, Robot
 from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
@@ -33,11 +33,11 @@ ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
 # Doty's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
 
-WHOLE = 128
+MOST_JOINTS = 128
 """Joints up to which an extended model is one Pinocchio model: an arm of seven has a hundred, with all that a search tries. Its
 workspace grows with their cube: 0.1 GB for these, 3 GB for the 430 of an arm of sixty axes."""
 
-SEGMENT = 48
+JOINTS_OF_A_SEGMENT = 48
 """Joints of each part of a longer one, whose workspaces take 5 MB."""
 
 Group = Literal["constant", "effect", "link", "own"]
@@ -49,7 +49,7 @@ class Slot(NamedTuple):
     Attributes:
         where: A joint of the chain, the tip's fixed joint, ``world_base`` or ``tip_target``.
         group: A constant or an effect in axes of a frame, a correction of a link, or the robot's own motion.
-        component: That moves; empty for the robot's own motion.
+        component: The one that moves; empty for the robot's own motion.
     """
 
     where: str
@@ -58,7 +58,7 @@ class Slot(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of the Pinocchio joint; the robot's own joints keep theirs."""
+        """Name of the Pinocchio joint; the robot's own joints keep theirs."""
         return self.where if self.group == "own" else ".".join(self)
 
 
@@ -125,9 +125,9 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     for slot in needed:
         groups.setdefault((slot.where, slot.group), []).append(slot)
 
-    def put(found: Sequence[tuple[Slot, Motion]]) -> None:
+    def put(joints: Sequence[tuple[Slot, Motion]]) -> None:
         nonlocal placement
-        for slot, move in found:
+        for slot, move in joints:
             steps.append(Step(placement, slot, move))
             placement = pin.SE3.Identity()
 
@@ -156,8 +156,8 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     for joint, fixed in zip(robot.joints, robot.fixed, strict=False):
         constants = _sorted(groups.get((joint.name, "constant"), ()), joint)
         effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
-        own = [(own_slot(joint.name), motion("axis", joint))]
-        moves = own + effects if joint.kind == "prismatic" else effects + own
+        own_motion = [(own_slot(joint.name), motion("axis", joint))]
+        moves = own_motion + effects if joint.kind == "prismatic" else effects + own_motion
         if after is None:
             cross(fixed)
             placement = placement if joint.climbs else placement * joint.origin
@@ -189,15 +189,15 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     return steps
 
 
-def _backwards(found: Sequence[tuple[Slot, Motion]]) -> list[tuple[Slot, Motion]]:
+def _backwards(motions: Sequence[tuple[Slot, Motion]]) -> list[tuple[Slot, Motion]]:
     """The inverse of some motions one after the other: each the other way, the last one first."""
-    return [(slot, (-vector, turns)) for slot, (vector, turns) in reversed(found)]
+    return [(slot, (-vector, turns)) for slot, (vector, turns) in reversed(motions)]
 
 
 def _sorted(group: Sequence[Slot], joint: Joint | None) -> list[tuple[Slot, Motion]]:
-    """A group of joints at one place with their motions, in the order of C; those of one rank by their names."""
-    found = sorted(group, key=lambda slot: (rank(slot.component, joint), slot.component))
-    return [(slot, motion(slot.component, joint)) for slot in found]
+    """A group of joints at one place with their motions, in the order of C; joints of one rank by their names."""
+    in_order = sorted(group, key=lambda slot: (rank(slot.component, joint), slot.component))
+    return [(slot, motion(slot.component, joint)) for slot in in_order]
 
 
 class Segment(NamedTuple):
@@ -282,14 +282,14 @@ class ExtendedModel:
             world: Index of the frame to use.
             tip: Likewise.
         """
-        if len(q) >= MANY:
-            return self._together(q, world, tip)[1:]
+        if len(q) >= LEAST_TOGETHER:
+            return self._poses_together(q, world, tip)[1:]
         return self._row_by_row(q, world, tip, None)
 
     def jacobian(self, q: np.ndarray, world: int, tip: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The poses, and the twist of the target that each joint causes, in world axes, shape (n, 6, nv)."""
-        if len(q) >= MANY:
-            frames, R, p = self._together(q, world, tip)
+        if len(q) >= LEAST_TOGETHER:
+            frames, R, p = self._poses_together(q, world, tip)
             return R, p, twists(frames, p)
         wide = np.empty((len(q), 6, q.shape[1]))
         R, p = self._row_by_row(q, world, tip, wide)
@@ -300,22 +300,22 @@ class ExtendedModel:
         self, q: np.ndarray, world: int, tip: int, wide: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Poses by Pinocchio; if given, ``wide`` becomes the twists of the world's origin."""
-        changed, end = self._ends(world, tip)
-        for k, placement in changed.items():
+        placements, end = self._ends(world, tip)
+        for k, placement in placements.items():
             number, place = divmod(k, self._size)
             self.segments[number].model.jointPlacements[place + 1] = placement
         R, p = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
         for columns, model, data in self.segments:
-            own, first = q[:, columns], columns.start == 0
+            coordinates, first = q[:, columns], columns.start == 0
             last = data.oMi[model.njoints - 1]
             rotation, translation, twists_of_joints = last.rotation, last.translation, data.J
             turn, shift = (R, p) if first else (np.empty_like(R), np.empty_like(p))
             J = None if wide is None else wide[:, :, columns]
             for i in range(len(q)):
                 if J is None:
-                    pin.forwardKinematics(model, data, own[i])
+                    pin.forwardKinematics(model, data, coordinates[i])
                 else:
-                    pin.computeJointJacobians(model, data, own[i])
+                    pin.computeJointJacobians(model, data, coordinates[i])
                     J[i] = twists_of_joints
                 turn[i], shift[i] = rotation, translation
             if not first:
@@ -336,7 +336,7 @@ class ExtendedModel:
             tip: Likewise.
         """
         joints, end = self._joints(self.world_base[world], self.tip_target[tip])
-        bodies = self._carried()
+        bodies = self._bodies()
         model, parent, pending = pin.Model(), 0, pin.SE3.Identity()
         for placement, slot, move in joints:
             pending = pending * placement
@@ -348,31 +348,31 @@ class ExtendedModel:
                 model.appendBodyToJoint(parent, bodies[slot], pending)
         return model, pending * end
 
-    def _carried(self) -> dict[Slot, pin.Inertia]:
+    def _bodies(self) -> dict[Slot, pin.Inertia]:
         """The body that hangs on each joint: a carriage's own effects carry its body, too. None of a path that climbs.
 
         There a body would hang on the joint before its own.
         """
         if self.robot.climbs:
             return {}
-        bodies, carrier, own = carried_bodies(self.robot), {}, ""
+        bodies, carrier, joint = carried_bodies(self.robot), {}, ""
         for step in self.chain:
             if step.slot is None:
                 continue
             if step.slot.group == "own":
-                own = step.slot.where
-            if own and (step.slot.group == "own" or (step.slot.where, step.slot.group) == (own, "effect")):
-                carrier[own] = step.slot
+                joint = step.slot.where
+            if joint and (step.slot.group == "own" or (step.slot.where, step.slot.group) == (joint, "effect")):
+                carrier[joint] = step.slot
         return {slot: bodies[name] for name, slot in carrier.items()}
 
     def _joints(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[list[Jointed], pin.SE3]:
         """Every joint with its placement on the one before, in the order of ``index``, and the target's on the last."""
-        found: list[Jointed] = []
+        joints: list[Jointed] = []
         pending = world_base
 
         def add(slot: Slot, move: Motion) -> None:
             nonlocal pending
-            found.append(Jointed(pending, slot, move))
+            joints.append(Jointed(pending, slot, move))
             pending = pin.SE3.Identity()
 
         for slot in frame_slots("world_base", self._needed):
@@ -384,12 +384,12 @@ class ExtendedModel:
         pending = pending * tip_target
         for slot in frame_slots("tip_target", self._needed):
             add(slot, motion(slot.component))
-        return found, pending
+        return joints, pending
 
-    def _together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[Moving], np.ndarray, np.ndarray]:
+    def _poses_together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[Moving], np.ndarray, np.ndarray]:
         """The frames that move, and poses, all rows walked at once with one pair of frames."""
-        changed, end = self._ends(world, tip)
-        for k, placement in changed.items():
+        placements, end = self._ends(world, tip)
+        for k, placement in placements.items():
             self._stepped.placement[k] = placement.homogeneous
         return walked(self._stepped, q, end.homogeneous)
 
@@ -398,12 +398,12 @@ class ExtendedModel:
 
         Frames differ in two placements alone: thousands of stations need no model each.
         """
-        before, after, held = self._beyond
+        before, after, tip_joints = self._end_placements
         first, end = self.world_base[world] * before, after * self.tip_target[tip]
-        return ({0: first, len(self.index) - held: end}, pin.SE3.Identity()) if held else ({0: first}, end)
+        return ({0: first, len(self.index) - tip_joints: end}, pin.SE3.Identity()) if tip_joints else ({0: first}, end)
 
     @cached_property
-    def _beyond(self) -> tuple[pin.SE3, pin.SE3, int]:
+    def _end_placements(self) -> tuple[pin.SE3, pin.SE3, int]:
         """From the base's frame to the first joint, from the last one to the tip's, and how many joints hold the tip."""
         inner = [k for k, step in enumerate(self.chain) if step.slot is not None]
         first = 0 if frame_slots("world_base", self._needed) else inner[0] + 1
@@ -415,14 +415,14 @@ class ExtendedModel:
 
     @cached_property
     def _stepped(self) -> Stepped:
-        """All its joints as arrays."""
+        """All joints of the extended model as arrays."""
         joints, _ = self._joints(pin.SE3.Identity(), pin.SE3.Identity())
         return stepped([(placement, move) for placement, _, move in joints])
 
     @property
     def _size(self) -> int:
         """Joints of a segment."""
-        return WHOLE if len(self.index) <= WHOLE else SEGMENT
+        return MOST_JOINTS if len(self.index) <= MOST_JOINTS else JOINTS_OF_A_SEGMENT
 
     @cached_property
     def _needed(self) -> tuple[Slot, ...]:

@@ -20,7 +20,7 @@ import pinocchio as pin
 from aridcal.engine.model.joint_motions import Motion
 from aridcal.engine.robot.kinematics import transverse
 
-MANY = 40
+LEAST_TOGETHER = 40
 """Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more for a model,
 of which few questions are asked as a rule."""
 
@@ -29,14 +29,14 @@ BLOCK = 2048
 
 
 def blocks(n: int) -> list[slice]:
-    """Stretches of n rows that are worked on at a time; too few at the end to be walked together go with those before."""
-    begins = range(0, max(n - MANY + 1, min(n, 1)), BLOCK)
+    """Stretches of n rows that are worked on at a time; a last stretch too short to be walked together joins the one before."""
+    begins = range(0, max(n - LEAST_TOGETHER + 1, min(n, 1)), BLOCK)
     return [slice(start, n if start == begins[-1] else start + BLOCK) for start in begins]
 
 
 def few(n: int) -> list[slice]:
-    """Stretches of n rows that are walked one by one: what is said of a row must not depend, by a digit, on those beside it."""
-    return [slice(start, start + MANY - 1) for start in range(0, max(n, 1), MANY - 1)]
+    """Stretches of n rows that are walked one by one: a row's numbers must not depend, by a digit, on the rows beside it."""
+    return [slice(start, start + LEAST_TOGETHER - 1) for start in range(0, max(n, 1), LEAST_TOGETHER - 1)]
 
 
 class Stepped(NamedTuple):
@@ -45,8 +45,8 @@ class Stepped(NamedTuple):
     Attributes:
         placement: Of each on the one before, shape (nv, 4, 4).
         vector: Unit vectors of their motions, shape (nv, 3).
-        turns: Which turn about it, shape (nv,) bool; the others slide along it.
-        across: Axes whose z is that vector, shape (nv, 3, 3).
+        turns: Which joints turn about their vector, shape (nv,) bool; the others slide along it.
+        across: Axes whose z is that unit vector, shape (nv, 3, 3).
     """
 
     placement: np.ndarray
@@ -99,9 +99,9 @@ def walked(joints: Stepped, q: np.ndarray, target: np.ndarray) -> tuple[list[Mov
     moves = np.any(q != q[0], axis=0)
     placements, screws, end = _between(joints, np.where(moves, 0.0, q[0]), moves)
     axes, origin = np.repeat(np.eye(3)[:, :, None], n, axis=2), np.zeros((3, n))
-    found, first = [], 0
+    frames, first = [], 0
     for k in np.flatnonzero(moves).tolist():
-        found.append(Moving(axes, origin, slice(first, k + 1), screws[:, first : k + 1]))
+        frames.append(Moving(axes, origin, slice(first, k + 1), screws[:, first : k + 1]))
         first = k + 1
         origin = origin + _along(axes, placements[k, :3, 3])
         axes = _along(axes, placements[k, :3, :3] @ joints.across[k])
@@ -113,8 +113,8 @@ def walked(joints: Stepped, q: np.ndarray, target: np.ndarray) -> tuple[list[Mov
     end = end @ target
     place, last = origin + _along(axes, end[:3, 3]), screws[:, first:].copy()
     last[:3] -= np.cross(end[:3, 3], last[3:].T).T
-    found.append(Moving(axes, place, slice(first, nv), last))
-    return found, _along(axes, end[:3, :3]).transpose(2, 1, 0), place.T
+    frames.append(Moving(axes, place, slice(first, nv), last))
+    return frames, _along(axes, end[:3, :3]).transpose(2, 1, 0), place.T
 
 
 def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
@@ -125,7 +125,7 @@ def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
         target: Where the target is, shape (n, 3), [m].
     """
     n = len(target)
-    made = np.empty((frames[-1].part.stop, 6 * n))
+    columns = np.empty((frames[-1].part.stop, 6 * n))
     levers = np.empty((6, 3, n))  # the axes, and what the target does where a frame turns about each of them
     for axes, origin, part, screws in frames:
         x, y, z = origin - target.T
@@ -133,9 +133,9 @@ def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
         by[:, 0] = y * axes[:, 2] - z * axes[:, 1]
         by[:, 1] = z * axes[:, 0] - x * axes[:, 2]
         by[:, 2] = x * axes[:, 1] - y * axes[:, 0]
-        np.matmul(screws.T, levers.reshape(6, -1), out=made[part, : 3 * n])
-        np.matmul(screws[3:].T, axes.reshape(3, -1), out=made[part, 3 * n :])
-    return made.reshape(-1, 6, n).transpose(2, 1, 0)
+        np.matmul(screws.T, levers.reshape(6, -1), out=columns[part, : 3 * n])
+        np.matmul(screws[3:].T, axes.reshape(3, -1), out=columns[part, 3 * n :])
+    return columns.reshape(-1, 6, n).transpose(2, 1, 0)
 
 
 def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -143,13 +143,13 @@ def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.
 
     Args:
         joints: nv of them.
-        value: Coordinates of those that stand still, shape (nv,).
-        moves: The others, shape (nv,) bool.
+        value: Coordinates of the joints that stand still, shape (nv,).
+        moves: Which joints move, shape (nv,) bool.
 
     Returns:
-        Their placements, shape (nv, 4, 4); their screws (v, w), shape (6, nv); and the end of the last one, shape (4, 4).
+        The joints' placements, shape (nv, 4, 4); their screws (v, w), shape (6, nv); and the end of the last one, shape (4, 4).
     """
-    onwards = joints.placement @ _held(joints, value)
+    onwards = joints.placement @ _still_transforms(joints, value)
     before, here = np.empty_like(onwards), np.eye(4)
     for k, moving in enumerate(moves.tolist()):
         before[k] = here
@@ -167,19 +167,19 @@ def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.
     return placements, np.hstack([v, np.where(turns, axis, 0.0)]).T, here
 
 
-def _held(joints: Stepped, value: np.ndarray) -> np.ndarray:
-    """What each joint does that stands still, shape (nv, 4, 4), from its coordinate, shape (nv,)."""
-    made = np.zeros((len(value), 4, 4))
-    made[:, 3, 3] = 1.0
-    made[:, :3, 3] = np.where(joints.turns, 0.0, value)[:, None] * joints.vector
+def _still_transforms(joints: Stepped, value: np.ndarray) -> np.ndarray:
+    """The transform of each joint that stands still, shape (nv, 4, 4), from its coordinate, shape (nv,)."""
+    transforms = np.zeros((len(value), 4, 4))
+    transforms[:, 3, 3] = 1.0
+    transforms[:, :3, 3] = np.where(joints.turns, 0.0, value)[:, None] * joints.vector
     angle = np.where(joints.turns, value, 0.0)[:, None]
-    c, s, turned = np.cos(angle), np.sin(angle), joints.across.copy()
+    c, s, axes = np.cos(angle), np.sin(angle), joints.across.copy()
     x, y = joints.across[:, :, 0], joints.across[:, :, 1]
-    turned[:, :, 0], turned[:, :, 1] = c * x + s * y, c * y - s * x
-    made[:, :3, :3] = turned @ joints.across.transpose(0, 2, 1)
-    return made
+    axes[:, :, 0], axes[:, :, 1] = c * x + s * y, c * y - s * x
+    transforms[:, :3, :3] = axes @ joints.across.transpose(0, 2, 1)
+    return transforms
 
 
 def _along(axes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Vectors of which these are the numbers along axes (3, 3, n): (3, k) numbers to (k, 3, n), (3,) numbers to (3, n)."""
+    """Vectors in the world from their numbers along axes (3, 3, n): (3, k) numbers to (k, 3, n), (3,) numbers to (3, n)."""
     return np.asarray((numbers.T @ axes.reshape(3, -1)).reshape(*numbers.shape[1:], *axes.shape[1:]))

@@ -1,4 +1,4 @@
-"""How much memory a calibration needs, told before it starts: what does not fit is refused, not tried."""
+"""How much memory a calibration needs, estimated before it starts: what does not fit is refused, not tried."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from pathlib import Path
 
 from aridcal.system.errors import CampaignError
 
-NUMBER = 8
+BYTES_OF_A_NUMBER = 8
 """Bytes of a float64."""
 
-ITSELF = 300_000_000
+BYTES_OF_THE_PROGRAM = 300_000_000
 """Bytes of the program and its libraries."""
 
-SQUARES = 18
+SQUARE_MATRICES = 18
 """Square matrices of all coefficients that are alive at the worst moment: sums of two channels at two places, their balanced
 copies, factors, inverses and singular vectors."""
 
-COLUMNS = 10
+COPIES_OF_COLUMNS = 10
 """Copies of the constants' columns for the rows that are searched: the linear model's and some states'."""
 
-ROW = 1_500
+BYTES_OF_A_ROW = 1_500
 """Bytes of a row in all that is kept of it: readings, residuals of every stage, its cells in text. A million rows of poses of
 six joints took 750 each, where nothing was sought; an effect's columns and conditions come to that."""
 
-PAIR = 150_000
+BYTES_OF_A_PAIR = 150_000
 """Bytes of what is tried for each pair of joints: couplings, functions of one load or of two covariates, and their columns."""
 
 ROOTS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
@@ -56,12 +56,13 @@ class Size:
 
     @property
     def needs(self) -> dict[str, int]:
-        """Bytes that it takes, to a third, by what asks for them."""
+        """Bytes that the calibration takes, right to a third, by what needs them."""
         K = self.coefficients
         return {
-            "coefficients": NUMBER * (SQUARES * K**2 + COLUMNS * self.searched * self.numbers * K),
-            "rows": ROW * self.rows,
-            "search": PAIR * self.joints**2 if self.searched else 0,
+            "coefficients": BYTES_OF_A_NUMBER
+            * (SQUARE_MATRICES * K**2 + COPIES_OF_COLUMNS * self.searched * self.numbers * K),
+            "rows": BYTES_OF_A_ROW * self.rows,
+            "search": BYTES_OF_A_PAIR * self.joints**2 if self.searched else 0,
         }
 
 
@@ -77,8 +78,8 @@ def check_memory(size: Size, place: str, available: int | None) -> None:
         CampaignError: with what it would need, what there is, and what to leave out.
     """
     needs = size.needs
-    whole = ITSELF + sum(needs.values())
-    if available is None or whole <= available:
+    total = BYTES_OF_THE_PROGRAM + sum(needs.values())
+    if available is None or total <= available:
         return
     remedies = {
         "coefficients": f"{size.coefficients:,} coefficients of frames and constants"
@@ -93,7 +94,7 @@ def check_memory(size: Size, place: str, available: int | None) -> None:
     }
     most = max(needs, key=lambda what: needs[what])
     raise CampaignError(
-        f"{place}: would need about {_gigabytes(whole)} of memory, and {_gigabytes(available)} are available. Most of it is for "
+        f"{place}: would need about {_gigabytes(total)} of memory, and {_gigabytes(available)} are available. Most of it is for "
         f"{remedies[most]}"
     )
 
@@ -103,34 +104,34 @@ def _gigabytes(size: int) -> str:
 
 
 def available_memory() -> int | None:
-    """Bytes that the system has left for this process, and its container; None where that is not told."""
-    found = []
+    """Bytes that the system, and the process's container, have left for this process; None where neither says."""
+    amounts = []
     for line in _lines(Path("/proc/meminfo")):
         if line.startswith("MemAvailable:"):
-            found.append(1024 * int(line.split()[1]))
+            amounts.append(1024 * int(line.split()[1]))
     for folder in _groups():
         for limit, usage in LIMITS:
             most, used = _number(folder / limit), _number(folder / usage)
             if most is not None and used is not None:
-                found.append(max(most - used + _cached(folder), 0))
-    return min(found, default=None)
+                amounts.append(max(most - used + _cached(folder), 0))
+    return min(amounts, default=None)
 
 
 def _cached(folder: Path) -> int:
     """Bytes of files that the system keeps in a group's memory, and gives up when asked."""
     names = ("inactive_file", "total_inactive_file")
-    found = (line.split() for line in _lines(folder / "memory.stat"))
-    return max((int(size) for name, size in found if name in names), default=0)
+    fields = (line.split() for line in _lines(folder / "memory.stat"))
+    return max((int(size) for name, size in fields if name in names), default=0)
 
 
 def _groups() -> list[Path]:
     """Folders of the control groups that this process is in, and of those around them."""
-    found = []
+    folders = []
     for line in _lines(Path("/proc/self/cgroup")):
         inner = Path(line.rsplit(":", 1)[-1].lstrip("/"))
         for root in ROOTS:
-            found += [root / part for part in (inner, *inner.parents)]
-    return list(dict.fromkeys(found))
+            folders += [root / part for part in (inner, *inner.parents)]
+    return list(dict.fromkeys(folders))
 
 
 def _lines(path: Path) -> list[str]:

@@ -24,7 +24,7 @@ from aridcal.engine.robot.doty import doty_links, links_down
 from aridcal.system.errors import CovariateNotFound, MeasurementError, RobotError
 
 SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
-"""What counts as much as a metre or a radian: half a usual focal length in pixels; lens terms of higher orders reach 10."""
+"""Size in each unit that counts as much as a metre or a radian: half a usual focal length [px]; lens terms reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)
 
@@ -67,9 +67,9 @@ class Locked:
     Attributes:
         model: Pinocchio's.
         target: The target on its last joint.
-        own: Which coordinate each joint of the path has, shape (j,).
-        joints: Which of the robot's joints those are, shape (j,).
-        carrier: Which coordinate carries each coefficient, shape (K,); -1 where that is locked. A joint that carries a
+        own: Coordinate of each joint of the path in ``model``, shape (j,).
+        joints: Number of each of those joints among the robot's, shape (j,).
+        carrier: Coordinate that carries each coefficient, shape (K,); -1 where it is locked. A joint that carries a
             constant beside an effect starts at zero: its constant is still to be added.
     """
 
@@ -86,22 +86,22 @@ class _Arm:
 
     Attributes:
         model: Of that chain, with the coefficients that move it.
-        own: Which of the whole model's coefficients those are, shape (k,).
-        based: Which of the whole model's bases are theirs, shape (varying,) bool.
+        coefficients: Which of the whole model's coefficients those are, shape (k,).
+        based: Which of the whole model's bases belong to them, shape (varying,) bool.
         joints: Which of the robot's joints are on it, shape (j,).
         columns: Which of the robot's columns drive them, shape (c,).
         in_world: True if the path starts in the world.
     """
 
     model: Model
-    own: np.ndarray
+    coefficients: np.ndarray
     based: np.ndarray
     joints: np.ndarray
     columns: np.ndarray
     in_world: bool
 
     def rows(self, rows: Rows, some: np.ndarray | slice = slice(None)) -> Rows:
-        """Some of the whole model's rows as this one sees them."""
+        """Some of the whole model's rows as the chain's model sees them."""
         world = rows.world[some] if self.in_world else np.zeros_like(rows.world[some])
         phi = rows.phi.T[self.based][:, some].T
         return Rows(rows.positions[some][:, self.joints], phi, world, rows.tip[some])
@@ -155,7 +155,7 @@ class Model:
         return tuple((name, "axis") for name in self.robot.names)
 
     def with_motions(self, motions: Iterable[tuple[str, str]]) -> Model:
-        """The same with constant motions where effects act, behind its other coefficients.
+        """The same model with constant motions where effects act, behind its other coefficients.
 
         Their columns of the Jacobian are those of all effects with these motions, before a basis multiplies them.
 
@@ -196,13 +196,13 @@ class Model:
                 [self.routes.index(self._route_to(label)) for label in _labels(at_tip, n).tolist()], dtype=int
             )
         varying = [self.coefficients[k] for k in self._based]
-        wanted = {name for c in varying for name in c.basis.of}
+        names = {name for c in varying for name in c.basis.of}
         for mass in self.around.masses:
             if mass in self.needs and mass not in (covariates or {}):
                 raise CovariateNotFound(f"the model depends on {mass!r}, which was not measured: add that column")
-        given = label_columns(wanted, station) | dict(covariates or {})
-        table = covariate_table(self.robot, readings, given, self.around, world, wanted) if wanted else {}
-        if any(map(is_sight, wanted)):
+        columns = label_columns(names, station) | dict(covariates or {})
+        table = covariate_table(self.robot, readings, columns, self.around, world, names) if names else {}
+        if any(map(is_sight, names)):
             gravity = np.atleast_2d(self.around.gravity)[0]  # instruments measure one base
             table |= self.sight_columns(readings, gravity, tip, route)
         phi = np.empty((len(varying), n)).T
@@ -216,13 +216,13 @@ class Model:
         self, readings: np.ndarray, gravity: np.ndarray, tip: np.ndarray, route: np.ndarray | None
     ) -> dict[str, np.ndarray]:
         """Covariates of places, shape (N,) each: where each row's own path starts, of the target at its end."""
-        found: dict[str, np.ndarray] = {}
+        columns: dict[str, np.ndarray] = {}
         for arm, some in self._by_arm(len(readings), route):
             down = gravity if arm.in_world else np.zeros(3)  # nobody says how wires hang that a limb carries
-            own = sight_table(arm.model.robot, readings[some][:, arm.columns], self.around.sights, down, tip[some])
-            for name, values in own.items():
-                found.setdefault(name, np.zeros(len(readings)))[some] = values
-        return found
+            table = sight_table(arm.model.robot, readings[some][:, arm.columns], self.around.sights, down, tip[some])
+            for name, values in table.items():
+                columns.setdefault(name, np.zeros(len(readings)))[some] = values
+        return columns
 
     def target_places(self, rows: Rows, readings: np.ndarray) -> np.ndarray:
         """Places of the targets of rows, the arm nominal, in the base's frame or that of the link where their paths start.
@@ -234,17 +234,17 @@ class Model:
         Returns:
             Shape (N, 3), [m].
         """
-        found, targets = np.empty((len(rows), 3)), self.around.sights.targets[rows.tip]
+        places, targets = np.empty((len(rows), 3)), self.around.sights.targets[rows.tip]
         for arm, some in self._by_arm(len(rows), rows.route):
-            found[some] = target_places(arm.model.robot, readings[some][:, arm.columns], targets[some])
-        return found
+            places[some] = target_places(arm.model.robot, readings[some][:, arm.columns], targets[some])
+        return places
 
     def poses(self, theta: np.ndarray, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
         """Target poses T_world_target: rotations (N, 3, 3) and positions (N, 3) in [m]."""
         R, p = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3))
         if self.divided:
             for arm, some in self._by_arm(len(rows), rows.route):
-                R[some], p[some] = arm.model.poses(theta[arm.own], arm.rows(rows, some))
+                R[some], p[some] = arm.model.poses(theta[arm.coefficients], arm.rows(rows, some))
             return R, p
         for index, world, tip in self._variants(rows):
             for block in blocks(len(rows) if isinstance(index, slice) else len(index)):
@@ -266,7 +266,11 @@ class Model:
             linear [m], then angular [rad], per unit of each coefficient.
         """
         if self.divided:
-            return self._of_arms(rows, len(theta), lambda arm, own: (arm.own, arm.model.jacobian(theta[arm.own], own)))
+            return self._of_arms(
+                rows,
+                len(theta),
+                lambda arm, of_arm: (arm.coefficients, arm.model.jacobian(theta[arm.coefficients], of_arm)),
+            )
         R, p, twists = self.motions(theta, rows)
         return R, p, np.ascontiguousarray(self.of_coefficients(twists, rows))
 
@@ -286,54 +290,62 @@ class Model:
         if self.divided:
             count = len(self.robot.readings)
             return self._of_arms(
-                rows, count, lambda arm, own: (arm.columns, arm.model.by_readings(theta[arm.own], own))
+                rows, count, lambda arm, of_arm: (arm.columns, arm.model.by_readings(theta[arm.coefficients], of_arm))
             )
         R, p, twists = self.motions(theta, rows)
         return R, p, twists[:, :, self._extended.own] @ self.robot.factors
 
-    def _of_arms(self, rows: Rows, count: int, ask: Callable[[_Arm, Rows], tuple[np.ndarray, _Derived]]) -> _Derived:
-        """Poses and ``count`` columns of twists from what each chain says of its rows, and which of the columns it has."""
+    def _of_arms(
+        self, rows: Rows, count: int, differentiate: Callable[[_Arm, Rows], tuple[np.ndarray, _Derived]]
+    ) -> _Derived:
+        """Poses and ``count`` columns of twists of all rows, from those of each chain's rows.
+
+        Args:
+            rows: N of them.
+            count: Columns of the whole model.
+            differentiate: Of a chain and its rows: which of the columns are its own, and its poses and twists.
+        """
         R, p, J = np.empty((len(rows), 3, 3)), np.empty((len(rows), 3)), np.zeros((len(rows), 6, count))
         for arm, some in self._by_arm(len(rows), rows.route):
-            columns, (R[some], p[some], own) = ask(arm, arm.rows(rows, some))
-            whole = np.zeros((len(own), 6, count))  # whole rows at a time: it is twice as fast
-            whole[:, :, columns] = own
-            J[some] = whole
+            columns, (R[some], p[some], twists) = differentiate(arm, arm.rows(rows, some))
+            whole_rows = np.zeros((len(twists), 6, count))  # whole rows at a time: it is twice as fast
+            whole_rows[:, :, columns] = twists
+            J[some] = whole_rows
         return R, p, J
 
     def of_coefficients(self, twists: np.ndarray, rows: Rows, first: int = 0) -> np.ndarray:
-        """What joints do, or anything linear in that, (N, m, joints), as what coefficients from the first on do, (N, m, K)."""
+        """Columns of the coefficients from ``first`` on, (N, m, K), from those of the joints that carry them, (N, m, joints)."""
         J = twists.T[self._extended.carrier[first:]].T  # rows stay what runs fastest in memory
         which = self._based[self._based >= first] - first
         if len(which):
             # Constants stand before all others as a rule: then no part is copied.
             based = slice(which[0], which[-1] + 1) if which[-1] + 1 - which[0] == len(which) else which
             J[:, :, based] *= rows.phi[:, None, -len(which) :]
-        for (own, frames), at in self._stationed(rows):
-            asked = own >= first
-            J[:, :, own[asked] - first] *= frames[asked] == at[:, None, None]
+        for (constants, frames), at in self._stationed(rows):
+            included = constants >= first
+            J[:, :, constants[included] - first] *= frames[included] == at[:, None, None]
         return J
 
     def origins(self, theta: np.ndarray) -> dict[str, pin.SE3]:
         """Own ``<origin>`` of every joint that the constants move: nominal placement times corrections."""
         if self.divided:
             limbs = [self._arm_of(Route(None, limb.tip)) for limb in reversed(self.robot.limbs)]
-            return {name: T for arm in limbs for name, T in arm.model.origins(theta[arm.own]).items()}
+            return {name: T for arm in limbs for name, T in arm.model.origins(theta[arm.coefficients]).items()}
         value = self._constant_values(theta)
-        found: dict[str, pin.SE3] = {}
+        origins: dict[str, pin.SE3] = {}
         here = pin.SE3.Identity()  # from the last origin's end
         for step in self._extended.chain:
             here = here * step.placement
             if step.slot is None:
-                own = step.before.inverse() * here
-                found[step.origin] = own.inverse() if step.climbs else own
+                placement = step.before.inverse() * here
+                origins[step.origin] = placement.inverse() if step.climbs else placement
                 here = pin.SE3.Identity()
             elif step.slot in value and step.motion is not None:
                 here = here * transform(step.motion, value[step.slot])
-        moved = {c.where for c in self.coefficients if c.basis.constant and c.component in FRAME_COMPONENTS}
+        joints = {c.where for c in self.coefficients if c.basis.constant and c.component in FRAME_COMPONENTS}
         corrected = {c.where for c in self.coefficients if c.component in LINK_COMPONENTS}
-        moved |= {str(link.next_origin) for link in self._extended.links if link.joint in corrected}
-        return {name: origin for name, origin in found.items() if name in moved}
+        joints |= {str(link.next_origin) for link in self._extended.links if link.joint in corrected}
+        return {name: origin for name, origin in origins.items() if name in joints}
 
     @property
     def first_labels(self) -> tuple[str | None, str | None]:
@@ -344,14 +356,16 @@ class Model:
 
     def frames(self, theta: np.ndarray) -> tuple[Frames, Frames]:
         """T_world_base and T_tip_target with the constants applied."""
-        world = [(label, self._moved("world_base", label, start, theta)) for label, start in self.world_base]
-        tip = [(label, self._moved("tip_target", label, start, theta)) for label, start in self.tip_target]
+        world = [(label, self._frame("world_base", label, start, theta)) for label, start in self.world_base]
+        tip = [(label, self._frame("tip_target", label, start, theta)) for label, start in self.tip_target]
         return tuple(world), tuple(tip)
 
-    def _moved(self, where: str, label: str | None, start: pin.SE3, theta: np.ndarray) -> pin.SE3:
+    def _frame(self, where: str, label: str | None, start: pin.SE3, theta: np.ndarray) -> pin.SE3:
         """One frame with its constants applied, in the order of C."""
-        own = [(c, x) for c, x in zip(self.coefficients, theta, strict=True) if c.where == where and c.station == label]
-        value = {c.component: x for c, x in own if c.basis.constant}
+        constants = [
+            (c, x) for c, x in zip(self.coefficients, theta, strict=True) if c.where == where and c.station == label
+        ]
+        value = {c.component: x for c, x in constants if c.basis.constant}
         for component in ORDER:
             if component in value:
                 start = start * transform(motion(component), value[component])
@@ -376,23 +390,23 @@ class Model:
         """
         if self.divided:
             arm = self._arm_of(self._route_to(target or station or ""))
-            locked = arm.model.locked(theta[arm.own], station, target)
+            locked = arm.model.locked(theta[arm.coefficients], station, target)
             carrier = np.full(len(theta), -1)
-            carrier[arm.own] = locked.carrier
+            carrier[arm.coefficients] = locked.carrier
             return replace(locked, carrier=carrier, joints=arm.joints)
         at_base, at_tip = (None if label is None else np.array([label]) for label in (station, target or station))
         world, tip = (int(_frame_index(*end, 1)[0]) for end in ((self.world_base, at_base), (self.tip_target, at_tip)))
         slots = self._extended.slots
-        own = [own_slot(name) for name in self.robot.names]
-        moving = {*own, *(slots[k] for k in self._varying)}
+        robot_slots = [own_slot(name) for name in self.robot.names]
+        moving = {*robot_slots, *(slots[k] for k in self._varying)}
         model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}
         carrier_of = [index[slot.name] if slot in moving else -1 for slot in slots]
         return Locked(
             model=model,
             target=target,
-            own=np.array([index[slot.name] for slot in own]),
-            joints=np.arange(len(own)),
+            own=np.array([index[slot.name] for slot in robot_slots]),
+            joints=np.arange(len(robot_slots)),
             carrier=np.array(carrier_of, dtype=int),
         )
 
@@ -404,7 +418,7 @@ class Model:
 
     @cached_property
     def sizes(self) -> np.ndarray:
-        """What in each coefficient's unit counts as much as a metre or a radian elsewhere, shape (K,)."""
+        """Size of each coefficient, in its unit, that counts as much as a metre or a radian elsewhere, shape (K,)."""
         size = np.ones(len(self.coefficients))
         for k in np.flatnonzero(self.at_things):
             c = self.coefficients[k]
@@ -422,7 +436,7 @@ class Model:
         return tuple(map(self._arm_of, self.routes))
 
     def limb(self, link: str) -> tuple[Model, np.ndarray]:
-        """The chain from the base to a link as the model of a robot that has no other, and which coefficients it has.
+        """The chain from the base to a link as a model of its own, and the numbers of its coefficients in this one.
 
         Its targets are those on that link; the link itself where there is none.
 
@@ -430,12 +444,12 @@ class Model:
             RobotError: one of its joints gives way under a load that other limbs change.
         """
         arm = self._arm_of(Route(None, None if link == self.robot.tip else link))
-        here = [
+        on_link = [
             k for k, (label, _) in enumerate(self.tip_target) if self.target_on.get(label or "", self.robot.tip) == link
         ]
-        labels = [self.tip_target[k][0] for k in here]
-        kept = [c.where != "tip_target" or c.station in labels for c in arm.model.coefficients]
-        coefficients = tuple(c for c, keeps in zip(arm.model.coefficients, kept, strict=True) if keeps)
+        labels = [self.tip_target[k][0] for k in on_link]
+        keep = [c.where != "tip_target" or c.station in labels for c in arm.model.coefficients]
+        coefficients = tuple(c for c, keeps in zip(arm.model.coefficients, keep, strict=True) if keeps)
         shared = {name for name in arm.model.robot.names if len(self.robot.limbs_of(name)) > 1}
         for c in coefficients:
             if c.where in shared and any(map(is_load, c.basis.of)):
@@ -443,11 +457,11 @@ class Model:
                     f"{c.name}: what {c.where} bears depends on where the other limbs are, and nothing says that"
                 )
         sights = self.around.sights
-        placed = len(sights.targets) == len(self.tip_target) and bool(here)
-        targets = sights.targets[here] if placed else np.zeros((max(1, len(here)), 3))
+        placed = len(sights.targets) == len(self.tip_target) and bool(on_link)
+        targets = sights.targets[on_link] if placed else np.zeros((max(1, len(on_link)), 3))
         around = replace(self.around, sights=replace(sights, targets=targets))
-        frames = tuple(self.tip_target[k] for k in here) or ONE_FRAME
-        return Model(arm.model.robot, coefficients, arm.model.world_base, frames, around), arm.own[kept]
+        frames = tuple(self.tip_target[k] for k in on_link) or ONE_FRAME
+        return Model(arm.model.robot, coefficients, arm.model.world_base, frames, around), arm.coefficients[keep]
 
     def _arm_of(self, route: Route) -> _Arm:
         """The chain of a path."""
@@ -455,25 +469,27 @@ class Model:
         chain = robot.between(*route) if robot.others or route != Route() else robot
         places = {*chain.names, *(each.name for gap in chain.fixed for each in gap)}
         places |= ({"world_base"} if route.start is None else set()) | ({"tip_target"} if self.tip_target else set())
-        own = np.flatnonzero([c.where in places and self._corrects(c, chain, places) for c in self.coefficients])
+        coefficients = np.flatnonzero(
+            [c.where in places and self._corrects(c, chain, places) for c in self.coefficients]
+        )
         base = self.world_base if route.start is None else ONE_FRAME
         target = self.tip_target or ONE_FRAME
-        model = Model(chain, tuple(self.coefficients[k] for k in own), base, target, self.around)
+        model = Model(chain, tuple(self.coefficients[k] for k in coefficients), base, target, self.around)
         return _Arm(
             model=model,
-            own=own,
-            based=np.isin(self._based, own),
+            coefficients=coefficients,
+            based=np.isin(self._based, coefficients),
             joints=np.array([robot.names.index(name) for name in chain.names], dtype=int),
             columns=np.array(robot.columns_of(chain), dtype=int),
             in_world=route.start is None,
         )
 
     def _route_to(self, label: str) -> Route:
-        """The path from the world to a target, or the only one that there is."""
+        """The path from the world to a target, by the target's label; of one path alone, that."""
         return self.routes[0] if len(self.routes) == 1 else Route(None, self.target_on.get(label))
 
     def _corrects(self, c: Coefficient, chain: Robot, places: Collection[str]) -> bool:
-        """True if a coefficient at a joint of a path moves what is beyond: a link's parameters act where the next origin is.
+        """True if a coefficient at a joint of a path moves the path's end: a link's parameters act where the next origin is.
 
         Raises:
             RobotError: the path leaves that link elsewhere than the chain base -> tip, of which the parameters are.
@@ -481,7 +497,7 @@ class Model:
         main = self.robot.main
         if c.component not in LINK_COMPONENTS or chain is main:
             return True
-        link = next(own for own in doty_links(main) if own.joint == c.where)
+        link = next(each for each in doty_links(main) if each.joint == c.where)
         if link.next_origin not in places:
             return False
         if link not in links_down(chain):
@@ -499,12 +515,12 @@ class Model:
         return [(arm, some) for arm, some in pairs if len(some)]
 
     def chains(self, rows: Rows) -> list[tuple[slice | np.ndarray, Model, np.ndarray, Rows]]:
-        """Of rows that take several paths, those of each: their numbers, its chain, this one's coefficients, and they themselves.
+        """For each path its rows' numbers, its chain's model, the numbers of that model's coefficients, its rows as it sees them.
 
-        Nothing where the model is one chain.
+        Empty where the model is one chain.
         """
         every = self._by_arm(len(rows), rows.route) if self.divided else []
-        return [(some, arm.model, arm.own, arm.rows(rows, some)) for arm, some in every]
+        return [(some, arm.model, arm.coefficients, arm.rows(rows, some)) for arm, some in every]
 
     @cached_property
     def _extended(self) -> ExtendedModel:
@@ -527,7 +543,7 @@ class Model:
         return np.flatnonzero([not c.basis.constant for c in self.coefficients])
 
     def _variants(self, rows: Rows) -> list[tuple[slice | np.ndarray, int, int]]:
-        """Rows that share their frames: (row numbers, world, tip)."""
+        """Groups of rows that share their frames: row numbers, and the indices of the frames at the base and at the target."""
         tips = len(self.tip_target)
         if len(self.world_base) == tips == 1:
             return [(slice(None), 0, 0)]
@@ -544,30 +560,36 @@ class Model:
         alike = np.delete(np.arange(len(theta)), self._varying)
         q += np.bincount(carrier[alike], theta[alike], q.shape[1])
         if len(self._based):
-            own, which = np.unique(carrier[self._based], return_inverse=True)
-            spread = np.zeros((len(self._based), len(own)))
+            carriers, which = np.unique(carrier[self._based], return_inverse=True)
+            spread = np.zeros((len(self._based), len(carriers)))
             spread[np.arange(len(self._based)), which] = theta[self._based]
-            q[:, own] += rows.phi @ spread
-        for (own, frames), at in self._stationed(rows):
-            there = np.isin(frames, at)
-            for k, frame in zip(own[there], frames[there], strict=True):
+            q[:, carriers] += rows.phi @ spread
+        for (constants, frames), at in self._stationed(rows):
+            present = np.isin(frames, at)
+            for k, frame in zip(constants[present], frames[present], strict=True):
                 q[:, carrier[k]] += theta[k] * (at == frame)
         return q
 
     def _stationed(self, rows: Rows) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
-        """Constants of one station each, as :attr:`_of_frames`, and the frames of the rows, (n,), at either end of the chain."""
-        return [(own, at) for own, at in zip(self._of_frames, (rows.world, rows.tip), strict=True) if len(own[0])]
+        """Constants of single stations, as :attr:`_of_frames`, and the rows' frames, (n,), at each end where there are any."""
+        return [
+            (constants, at)
+            for constants, at in zip(self._of_frames, (rows.world, rows.tip), strict=True)
+            if len(constants[0])
+        ]
 
     @cached_property
     def _of_frames(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Constants of one station each, at the base and at the target: their numbers and those of their frames, (S,) each."""
-        found = []
+        ends = []
         for where, frames in (("world_base", self.world_base), ("tip_target", self.tip_target)):
             number = {label: k for k, (label, _) in enumerate(frames)}
-            apart = np.setdiff1d(self._varying, self._based).tolist()
-            own = [k for k in apart if self.coefficients[k].where == where]
-            found.append((np.array(own, int), np.array([number[self.coefficients[k].station] for k in own], int)))
-        return found
+            constants = np.setdiff1d(self._varying, self._based).tolist()
+            numbers = [k for k in constants if self.coefficients[k].where == where]
+            ends.append(
+                (np.array(numbers, int), np.array([number[self.coefficients[k].station] for k in numbers], int))
+            )
+        return ends
 
     def _constant_values(self, theta: np.ndarray) -> dict[Slot, float]:
         pairs = zip(self._extended.slots, self.coefficients, strict=True)
@@ -579,12 +601,12 @@ def _labels(station: np.ndarray | None, n: int) -> np.ndarray:
 
 
 def _frame_index(frames: Frames, label: np.ndarray | None, n: int, per: str = "station") -> np.ndarray:
-    labels = [known for known, _ in frames]
+    labels = [name for name, _ in frames]
     if labels in ([], [None]):
         return np.zeros(n, dtype=int)
     if label is None:
         raise MeasurementError(f"a frame is per {per}: the table needs a `{per}` column")
-    number = {known: k for k, known in enumerate(labels)}
+    number = {name: k for k, name in enumerate(labels)}
     number.setdefault("", 0)
     unknown = sorted({str(s) for s in label} - set(map(str, number)))
     if unknown:

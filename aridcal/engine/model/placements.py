@@ -16,7 +16,7 @@ from aridcal.engine.rows.dataset import Dataset
 
 
 def sights_of(model: Model, train: Dataset) -> Sights:
-    """Where the things of some rows are.
+    """Places of targets and things, on which the faults of instruments depend.
 
     Args:
         model: The geometric stage's, its frames and things where they were identified.
@@ -27,9 +27,9 @@ def sights_of(model: Model, train: Dataset) -> Sights:
     for role, every in model.instruments.things.items():
         states = model.states.get(role, every.start)
         things[role] = {n: state for n, state in zip(every.names, states, strict=True) if np.isfinite(state).all()}
-    there = replace(model, around=replace(model.around, sights=Sights(targets)))
+    with_targets = replace(model, around=replace(model.around, sights=Sights(targets)))
     rows = rows_of_data(model, train)
-    places = partial(there.target_places, rows, train.readings)
+    places = partial(with_targets.target_places, rows, train.readings)
     linked = {name for every in model.instruments.things.values() for name in every.linked}
     return sights_from(model.world_base[0][1], targets, things, places, labels_of(train, "plane"), linked)
 
@@ -45,10 +45,10 @@ def references(rows: Dataset) -> Iterator[tuple[str, str, np.ndarray]]:
 
 def labels_of(rows: Dataset, role: str) -> np.ndarray:
     """Name of the thing of a role to which each row refers, empty for none, shape (N,)."""
-    found = np.full(len(rows), "", dtype=rows.labels.refers.dtype)
+    names = np.full(len(rows), "", dtype=rows.labels.refers.dtype)
     for number, block in enumerate(rows.blocks):
         for k, each in enumerate(KINDS[block.kind].roles):
             if each.name == role:
-                own = rows.labels.block == number
-                found[own] = rows.labels.refers[own, k]
-    return found
+                some = rows.labels.block == number
+                names[some] = rows.labels.refers[some, k]
+    return names

@@ -19,20 +19,20 @@ from aridcal.system.errors import MeasurementError
 States = Mapping[str, np.ndarray]
 """Where things are, (L, P) by role."""
 
-AGREEING = 6
+AGREEMENT_STEPS = 6
 """Steps in which readings are moved until the measurements agree; each squares what is left."""
 
-LARGEST = 0.1
+LARGEST_CORRECTION = 0.1
 """[rad] and [m] from a reading to where its measurement agrees: farther is no small correction."""
 
-ENOUGH = 1e-4
+AGREEMENT_TOLERANCE = 1e-4
 """[rad] and [m] of a step after which rows agree to its square: no column is then off by more than rounding shows."""
 
-ALONG = 1e-4
+LEAST_LEVER = 1e-4
 """Share of a row's largest lever below which no reading is moved along a direction: near a singularity it would go far."""
 
-TINY = 1e-300
-"""What keeps a row that no joint moves from a division by zero."""
+DIVISION_GUARD = 1e-300
+"""Added to a square that may be zero, where no joint moves a row, and by which is divided."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Slopes:
 
 @dataclass(frozen=True)
 class Sight:
-    """What n rows of m numbers see of a model at some values of its K coefficients, and how that changes.
+    """Residuals of n rows of m numbers at some values of a model's K coefficients, and how they change.
 
     Attributes:
         residual: Measured minus predicted, shape (n, m); NaN where a row does not measure a channel.
@@ -139,33 +139,33 @@ class Measured:
             agreed=None if self.agreed is None else self.agreed[some],
         )
 
-    def narrowed(self, kept: Sequence[int]) -> Measured:
-        """The same beside a model of some of the coefficients, ascending."""
-        own = self.model.coefficients
-        varying = [k for k, c in enumerate(own) if not c.basis.constant]
-        columns = [varying.index(k) for k in kept if k in set(varying)]
-        model = self.model.with_coefficients([own[k] for k in kept])
+    def narrowed(self, numbers: Sequence[int]) -> Measured:
+        """The same rows beside a model of some of the coefficients, by their numbers, ascending."""
+        every = self.model.coefficients
+        varying = [k for k, c in enumerate(every) if not c.basis.constant]
+        columns = [varying.index(k) for k in numbers if k in set(varying)]
+        model = self.model.with_coefficients([every[k] for k in numbers])
 
-        def of_kept(rows: Rows) -> Rows:
+        def narrowed_rows(rows: Rows) -> Rows:
             return replace(rows, phi=rows.phi.T[columns].T)
 
         return replace(
             self,
             model=model,
-            rows=of_kept(self.rows),
-            agreed=None if self.agreed is None else of_kept(self.agreed),
-            moved=_moved(model),
+            rows=narrowed_rows(self.rows),
+            agreed=None if self.agreed is None else narrowed_rows(self.agreed),
+            moved=_thing_coefficients(model),
             wide=None if self.wide is None else model.with_motions(model.own_motions),
         )
 
     @property
     def absent(self) -> np.ndarray:
         """Numbers that a row does not measure, shape (N, m) bool."""
-        found = np.ones((len(self), self.width), dtype=bool)
-        for part, kind, own in self._by_block():
-            missing = kind.missing(self.observed[own], part.stop - part.start) if kind.missing else False
-            found[own, part] = missing
-        return found
+        absent = np.ones((len(self), self.width), dtype=bool)
+        for part, kind, rows in self._by_block():
+            missing = kind.missing(self.observed[rows], part.stop - part.start) if kind.missing else False
+            absent[rows, part] = missing
+        return absent
 
     @property
     def conditions(self) -> np.ndarray:
@@ -183,19 +183,19 @@ class Measured:
         return self.blocks[number].traits, np.flatnonzero(self.block == number)
 
     def _by_block(self) -> Iterator[tuple[slice, Kind, np.ndarray | slice]]:
-        """Of each block that has rows: columns of its numbers, its kind, its rows (all of the only block: nothing is copied)."""
+        """For each block with rows: columns of its numbers, its kind, its rows (of an only block a slice: nothing is copied)."""
         for number, part in enumerate(self.parts):
-            kind, own = self.of_kind(number) if len(self.blocks) > 1 else (self.blocks[0].traits, slice(None))
-            if len(self.block[own]):
-                yield part, kind, own
+            kind, rows = self.of_kind(number) if len(self.blocks) > 1 else (self.blocks[0].traits, slice(None))
+            if len(self.block[rows]):
+                yield part, kind, rows
 
     def many(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of each row: number of the role of which there may be many (-1: none), as in :attr:`roles`, and of the thing."""
+        """For each row the number of its role with many things, as in :attr:`roles`, and of its thing; -1: none; (N,) each."""
         role, thing = np.full(len(self), -1), np.full(len(self), -1)
-        for _, kind, own in self._by_block():
+        for _, kind, rows in self._by_block():
             for k, each in enumerate(kind.roles):
                 if each.many:
-                    role[own], thing[own] = self.roles.index(each.name), self.refers[own, k]
+                    role[rows], thing[rows] = self.roles.index(each.name), self.refers[rows, k]
         return role, thing
 
     @property
@@ -212,14 +212,14 @@ class Measured:
             R, p = self.model.poses(theta, self.rows)
             states, stretch = located(self, R, p, theta)
             return replace(self, states=states).left(R, p, theta) * stretch[:, None]
-        found = np.empty((len(self), self.width))
+        r = np.empty((len(self), self.width))
         for part in blocks(len(self)):  # so that all rows' axes are never there at once
-            here = self[part]
-            found[part] = here.left(*self.model.poses(theta, here.rows), theta)
-        return found
+            some = self[part]
+            r[part] = some.left(*self.model.poses(theta, some.rows), theta)
+        return r
 
     def settled(self, theta: np.ndarray) -> Measured:
-        """The same with the things that the model does not know found from these rows alone."""
+        """The same rows with the things that the model does not know located from these rows alone."""
         if not self.lost:
             return self
         R, p = self.model.poses(theta, self.rows)
@@ -245,18 +245,18 @@ class Measured:
         if self.conditions.any():
             R, p = self.model.poses(theta, self.rows)
             here = replace(self, states=located(self, R, p, theta)[0])
-            left = here.left(R, p, theta)
-            slopes, J, at = here.where_they_agree(theta)
+            r = here.left(R, p, theta)
+            slopes, J, positions = here.where_they_agree(theta)
         else:
-            R, p, J = _each_once(lambda some: self.model.jacobian(theta, some), self.rows)
+            R, p, J = _distinct_rows_once(lambda some: self.model.jacobian(theta, some), self.rows)
             slopes = replace(self, states=located(self, R, p, theta)[0]).slopes(R, p, theta)
-            left, J, at = slopes.residual, slopes.by_twist @ J, self.rows.positions
+            r, J, positions = slopes.residual, slopes.by_twist @ J, self.rows.positions
         for c, column in zip(self.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
-        return Sight(np.nan_to_num(left), J, slopes.by_thing, at)
+        return Sight(np.nan_to_num(r), J, slopes.by_thing, positions)
 
     def agreeing(self, theta: np.ndarray, rows_at: Callable[[np.ndarray], Rows]) -> Measured:
-        """The same with its rows differentiated where measurements and model agree: readings moved as little as possible.
+        """The same rows, to be differentiated where measurements and model agree: readings moved as little as possible.
 
         What no measurement of a kind can tell (turns of the base where points are unknown, the scale where no length is known)
         turns or shrinks the residual, and would look as if it explained it; where the residual is zero its columns are zero.
@@ -270,17 +270,21 @@ class Measured:
         if not self.conditions.any():
             return replace(self, agreed=self.rows)
         here, before = self, (self.agreed or self.rows).positions
-        for _ in range(AGREEING):
-            known = here.settled(theta)
-            nearer = np.concatenate([known[part].where_they_agree(theta)[2] for part in blocks(len(self))])
+        for _ in range(AGREEMENT_STEPS):
+            settled = here.settled(theta)
+            nearer = np.concatenate([settled[part].where_they_agree(theta)[2] for part in blocks(len(self))])
             step, before = np.abs(nearer - before).max(initial=0.0), nearer
             here = replace(here, agreed=rows_at(nearer))
-            if step < ENOUGH:
+            if step < AGREEMENT_TOLERANCE:
                 break
         return here
 
     def where_they_agree(self, theta: np.ndarray) -> tuple[Slopes, np.ndarray, np.ndarray]:
-        """How rows change there, columns of the coefficients (n, m, K), and positions nearer to it (n, joints)."""
+        """How rows change where measurements and model agree.
+
+        Returns:
+            Their slopes, columns of the coefficients (n, m, K), and positions nearer to where they agree, (n, joints).
+        """
         assert self.wide is not None
         readings, at, count = self.rows.positions, self.agreed or self.rows, len(theta)
         beyond = np.zeros(len(self.wide.coefficients) - count)
@@ -289,16 +293,18 @@ class Measured:
         R, p, J = self.wide.jacobian(np.concatenate([theta, beyond]), rows)
         slopes = self.slopes(R, p, theta)
         J = slopes.by_twist @ J
-        own, seen = J[:, :, count:], np.nan_to_num(slopes.residual)
+        by_joint, r = J[:, :, count:], np.nan_to_num(slopes.residual)
         # The shortest way from the readings: what is left here, and what has been gone already.
-        asked = seen + np.einsum("nmj,nj->nm", own, at.positions - readings)
-        back = own.transpose(0, 2, 1)
-        square = own @ back
+        gap = r + np.einsum("nmj,nj->nm", by_joint, at.positions - readings)
+        back = by_joint.transpose(0, 2, 1)
+        square = by_joint @ back
         # Damped along weak levers: near a singularity, or where a kind asks for more than the joints can give.
-        weak = ALONG**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
-        off = (back @ np.linalg.solve(square + weak + TINY * np.eye(square.shape[1]), asked[:, :, None]))[:, :, 0]
+        weak = LEAST_LEVER**2 * np.einsum("nmm->n", square)[:, None, None] * np.eye(square.shape[1])
+        off = (back @ np.linalg.solve(square + weak + DIVISION_GUARD * np.eye(square.shape[1]), gap[:, :, None]))[
+            :, :, 0
+        ]
         off[~self.conditions] = 0.0
-        return slopes, J[:, :, :count], readings + np.clip(off, -LARGEST, LARGEST)
+        return slopes, J[:, :, :count], readings + np.clip(off, -LARGEST_CORRECTION, LARGEST_CORRECTION)
 
     def left(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> np.ndarray:
         """Measured minus predicted, shape (N, m), NaN in channels that a row does not measure.
@@ -309,29 +315,29 @@ class Measured:
             theta: Values of the model's coefficients.
         """
         r = np.full((len(self), self.width), np.nan)
-        for part, kind, own in self._by_block():
-            now, _ = self._states(kind, own, theta)
-            r[own, part] = kind.residual(R[own], p[own], kind.numbers(self.observed[own]), now)
+        for part, kind, rows in self._by_block():
+            states, _ = self._states(kind, rows, theta)
+            r[rows, part] = kind.residual(R[rows], p[rows], kind.numbers(self.observed[rows]), states)
         return r
 
     def slopes(self, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> Slopes:
-        """The same with its derivatives; see :meth:`left`."""
+        """Residuals, see :meth:`left`, with their derivatives."""
         n, m = len(self), self.width
         widest = max((len(t.role.components) for t in self.instruments.things.values() if t.role.many), default=0)
         r, twist = np.full((n, m), np.nan), np.zeros((n, m, 6))
         by_thing = np.zeros((n, m, widest))
         by_moved = tuple(np.zeros((n, m)) for _ in self.moved)
-        for part, kind, own in self._by_block():
-            now, changes = self._states(kind, own, theta)
-            seen = kind.derivatives(R[own], p[own], kind.numbers(self.observed[own]), now)
-            r[own, part], twist[own, part] = seen.residual, seen.by_twist
-            row = np.arange(n)[own]
+        for part, kind, rows in self._by_block():
+            states, changes = self._states(kind, rows, theta)
+            derivatives = kind.derivatives(R[rows], p[rows], kind.numbers(self.observed[rows]), states)
+            r[rows, part], twist[rows, part] = derivatives.residual, derivatives.by_twist
+            row = np.arange(n)[rows]
             for k, (role, change) in enumerate(zip(kind.roles, changes, strict=True)):
-                by_state, thing = seen.by_state[k], self.refers[own, k]
+                by_state, thing = derivatives.by_state[k], self.refers[rows, k]
                 if role.slope is not None:
                     by_state = by_state @ role.slope(self.states[role.name][thing], change)
                 if role.many:
-                    by_thing[own, part, : by_state.shape[2]] = by_state
+                    by_thing[rows, part, : by_state.shape[2]] = by_state
                 for number, c in enumerate(self.moved):
                     if c.role == role.name:
                         hit = thing == c.thing
@@ -342,39 +348,41 @@ class Measured:
         return Slopes(r, twist, by_moved, by_thing)
 
     def _states(
-        self, kind: Kind, own: np.ndarray | slice, theta: np.ndarray
+        self, kind: Kind, rows: np.ndarray | slice, theta: np.ndarray
     ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-        """State and change of the things of some rows, for each role of their kind: (n, P) and (n, u); 0 of what has no fault."""
-        now, changes = [], []
+        """States (n, P) and changes (n, u) of some rows' things, for each role of their kind; 0 where a role has no faults."""
+        states, changes = [], []
         for k, role in enumerate(kind.roles):
-            thing = self.refers[own, k]
+            thing = self.refers[rows, k]
             if role.name not in self.instruments.things:
-                now.append(np.zeros((len(thing), role.size)))
+                states.append(np.zeros((len(thing), role.size)))
                 changes.append(np.zeros((len(thing), len(role.components))))
                 continue
             start = self.states[role.name][thing]
             role = self.instruments.things[role.name].role  # a head has components of its own
             change = np.zeros((len(thing), len(role.components)))
-            moved = [c for c in self.moved if c.role == role.name]
-            for c in moved:
+            coefficients = [c for c in self.moved if c.role == role.name]
+            for c in coefficients:
                 hit = thing == c.thing
-                step = theta[c.index] if c.varying is None else theta[c.index] * self.rows.phi[own][hit, c.varying]
+                step = theta[c.index] if c.varying is None else theta[c.index] * self.rows.phi[rows][hit, c.varying]
                 change[np.ix_(hit, c.components)] += np.reshape(step, (-1, 1))
-            now.append(role.moved(start, change) if moved else start)
+            states.append(role.moved(start, change) if coefficients else start)
             changes.append(change)
-        return now, changes
+        return states, changes
 
 
-def _each_once(ask: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows) -> tuple[np.ndarray, ...]:
-    """What a model says of rows, one of several that follow one another alike asked for all: the marks in one image."""
+def _distinct_rows_once(
+    differentiate: Callable[[Rows], tuple[np.ndarray, np.ndarray, np.ndarray]], rows: Rows
+) -> tuple[np.ndarray, ...]:
+    """A model's answers for rows, computed once for equal rows that follow one another, as the marks in one image do."""
     route = np.zeros(len(rows)) if rows.route is None else rows.route  # one image may show marks of several limbs
-    told = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip, route])
+    inputs = np.column_stack([rows.positions, rows.phi, rows.world, rows.tip, route])
     new = np.ones(len(rows), dtype=bool)
-    new[1:] = np.any(told[1:] != told[:-1], axis=1)
+    new[1:] = np.any(inputs[1:] != inputs[:-1], axis=1)
     if new.all():
-        return ask(rows)
+        return differentiate(rows)
     number = np.cumsum(new) - 1
-    return tuple(said[number] for said in ask(rows[np.flatnonzero(new)]))
+    return tuple(result[number] for result in differentiate(rows[np.flatnonzero(new)]))
 
 
 def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None) -> Rows:
@@ -389,26 +397,28 @@ def rows_of_data(model: Model, data: Dataset, readings: np.ndarray | None = None
         start, end = (link or "the default" for link in unknown[0])
         raise MeasurementError(f"{data.title}: no row of the calibration was measured from {start} to {end}")
     number = np.array([model.routes.index(route) for route in data.labels.routes])
-    taken = np.zeros(len(data), int) if data.labels.route is None else data.labels.route
-    route = None if len(model.routes) == 1 else number[taken]
+    route_number = np.zeros(len(data), int) if data.labels.route is None else data.labels.route
+    route = None if len(model.routes) == 1 else number[route_number]
     at = data.readings if readings is None else readings
     return model.rows(at, data.conditions, data.labels.station, data.labels.target, route)
 
 
-def rows_at(seen: Measured, data: Dataset, positions: np.ndarray) -> Rows:
+def rows_at(observations: Measured, data: Dataset, positions: np.ndarray) -> Rows:
     """The rows of a data set with their joints, and all that depends on them, at other positions, shape (N, joints)."""
-    return replace(rows_of_data(seen.model, data, readings_at(seen, data, positions)), positions=positions)
+    return replace(
+        rows_of_data(observations.model, data, readings_at(observations, data, positions)), positions=positions
+    )
 
 
-def readings_at(seen: Measured, data: Dataset, positions: np.ndarray) -> np.ndarray:
-    """What joints would have read at other positions, shape (N, joints): shape (N, columns)."""
-    robot = seen.model.robot
-    own = [robot.names.index(name) for name in robot.readings]
-    return np.asarray(data.readings + (positions - seen.rows.positions)[:, own])
+def readings_at(observations: Measured, data: Dataset, positions: np.ndarray) -> np.ndarray:
+    """Readings of the joints, shape (N, columns), had they been at other positions, shape (N, joints)."""
+    robot = observations.model.robot
+    joints = [robot.names.index(name) for name in robot.readings]
+    return np.asarray(data.readings + (positions - observations.rows.positions)[:, joints])
 
 
 def measured(model: Model, data: Dataset) -> Measured:
-    """What the rows of a data set read, beside a model; things that this does not know are added to those that it knows.
+    """What the rows of a data set read, beside a model; things that the model does not know are added to its own.
 
     Raises:
         CovariateNotFound: an effect depends on a column that was not measured.
@@ -418,11 +428,11 @@ def measured(model: Model, data: Dataset) -> Measured:
     none = np.broadcast_to(-1, data.labels.refers.shape)  # of many rows of one tracker a number each would count
     refers = none.copy() if number else none
     for b, block in enumerate(data.blocks):
-        own = np.flatnonzero(data.labels.block == b)
+        rows = np.flatnonzero(data.labels.block == b)
         for k, role in enumerate(block.traits.roles):
             if role.name in number:
-                labels, which = np.unique(data.labels.refers[own, k], return_inverse=True)
-                refers[own, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
+                labels, which = np.unique(data.labels.refers[rows, k], return_inverse=True)
+                refers[rows, k] = np.array([number[role.name][str(label)] for label in labels], dtype=int)[which]
     ends = np.cumsum([0, *(sum(c.size for c in block.channels) for block in data.blocks)]).tolist()
     states = {name: t.start for name, t in instruments.things.items()}
     for name, state in model.states.items():
@@ -437,7 +447,7 @@ def measured(model: Model, data: Dataset) -> Measured:
         observed=data.observed,
         refers=refers,
         instruments=instruments,
-        moved=_moved(model),
+        moved=_thing_coefficients(model),
         width=columns(data.channels)[-1].stop,
         direct=_direct(model, data),
         states=states,
@@ -451,19 +461,19 @@ def _direct(model: Model, data: Dataset) -> bool:
     return alone and not any(things.free.any() for things in data.instruments.things.values())
 
 
-def joined(known: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
-    """The things of both, those known first, and the number of each by role and name."""
-    things = dict(known.things)
+def joined(first: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
+    """The things of both instruments, those of the first before the others, and the number of each by role and name."""
+    things = dict(first.things)
     for role, new in more.things.items():
-        things[role] = _with(known.things[role], new) if role in known.things else new
+        things[role] = _with(first.things[role], new) if role in first.things else new
     number = {role: {name: k for k, name in enumerate(t.names)} for role, t in things.items()}
-    return replace(known, things=things, ties=known.ties or more.ties), number
+    return replace(first, things=things, ties=first.ties or more.ties), number
 
 
 def _with(old: Things, new: Things) -> Things:
-    """Things with those of others behind them that they do not have."""
-    there = frozenset(old.names)
-    added = [k for k, name in enumerate(new.names) if name not in there]
+    """The old things, and behind them the new ones of other names."""
+    names = frozenset(old.names)
+    added = [k for k, name in enumerate(new.names) if name not in names]
     if not added:
         return old
     return Things(
@@ -476,31 +486,31 @@ def _with(old: Things, new: Things) -> Things:
     )
 
 
-def _moved(model: Model) -> tuple[Moved, ...]:
+def _thing_coefficients(model: Model) -> tuple[Moved, ...]:
     """The model's coefficients that move things."""
     place = {name: (role, k) for role, things in model.instruments.things.items() for name, k in things.places.items()}
     varying = np.cumsum([not c.basis.constant for c in model.coefficients]) - 1
-    found = []
+    coefficients = []
     for k in np.flatnonzero(model.at_things).tolist():
         c = model.coefficients[k]
         role, thing = place[c.where]
         components = model.instruments.things[role].role.moved_by(c.where, c.component)
-        found.append(Moved(k, None if c.basis.constant else int(varying[k]), role, thing, components))
-    return tuple(found)
+        coefficients.append(Moved(k, None if c.basis.constant else int(varying[k]), role, thing, components))
+    return tuple(coefficients)
 
 
-LOCATING = 10
-"""Steps in which a thing is found from its own rows at the most; three are usual."""
+LOCATION_STEPS = 10
+"""Steps at the most in which a thing is located from its own rows; three are usual."""
 
-FOUND = 1e-10
-"""Change of its components that ends this: rounding."""
+LOCATION_TOLERANCE = 1e-10
+"""Change of a thing's components that ends its location: rounding."""
 
 
-def located(seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> tuple[States, np.ndarray]:
-    """Solve for the things whose place nobody knows, each from its own rows, all else held.
+def located(observations: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> tuple[States, np.ndarray]:
+    """Solve for the things whose place nobody knows, each from its own rows, while all else stays.
 
     Args:
-        seen: N rows.
+        observations: N rows.
         R: Predicted rotations of the target, shape (N, 3, 3).
         p: Its positions, shape (N, 3), [m].
         theta: Values of the model's coefficients.
@@ -509,46 +519,48 @@ def located(seen: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray) -> 
         The states with these, and by what each row's residual is to be stretched, shape (N,), so that its squares count as
         those of things that were known: sqrt(n / (n - u)) for n numbers and u unknowns; NaN where n is no more than u.
     """
-    stretch = np.ones(len(seen))
-    role, thing = seen.many()
-    found = dict(seen.states)
-    for number, name in enumerate(seen.roles):
-        lost = np.atleast_1d(np.isnan(seen.states[name]).any(axis=1))
-        here = np.flatnonzero(role == number)
-        asked = np.unique(thing[here])
-        asked = asked[lost[asked]]
-        if len(asked):
-            found[name] = seen.states[name].copy()
-        for k in asked.tolist():
-            own = here[thing[here] == k]
-            part = replace(seen[own], states=found)
-            found[name][k], rank = _one(part, R[own], p[own], theta, name, k)
+    stretch = np.ones(len(observations))
+    role, thing = observations.many()
+    states = dict(observations.states)
+    for number, name in enumerate(observations.roles):
+        lost = np.atleast_1d(np.isnan(observations.states[name]).any(axis=1))
+        of_role = np.flatnonzero(role == number)
+        numbers = np.unique(thing[of_role])
+        numbers = numbers[lost[numbers]]
+        if len(numbers):
+            states[name] = observations.states[name].copy()
+        for k in numbers.tolist():
+            of_thing = of_role[thing[of_role] == k]
+            part = replace(observations[of_thing], states=states)
+            states[name][k], rank = _located_thing(part, R[of_thing], p[of_thing], theta, name, k)
             count = float((~part.absent).sum())
-            stretch[own] = np.sqrt(count / (count - rank)) if count > rank else np.nan
-    return found, stretch
+            stretch[of_thing] = np.sqrt(count / (count - rank)) if count > rank else np.nan
+    return states, stretch
 
 
-def _one(part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int) -> tuple[np.ndarray, int]:
-    """State (P,) of one thing from its rows alone, and how many of its components these tell."""
+def _located_thing(
+    part: Measured, R: np.ndarray, p: np.ndarray, theta: np.ndarray, name: str, k: int
+) -> tuple[np.ndarray, int]:
+    """State (P,) of one thing from its rows alone, and how many of its components these rows determine."""
     number = int(part.block[0])
     kind = part.blocks[number].traits
     first = np.flatnonzero(part.block == number)
-    now = [part.states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
-    start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), now) if kind.located else None
+    states = [part.states[role.name][part.refers[first, j]] for j, role in enumerate(kind.roles)]
+    start = kind.located(R[first], p[first], kind.numbers(part.observed[first]), states) if kind.located else None
     role, free = part.instruments.things[name].role, part.instruments.things[name].free[k]
     rank = int(free.sum())
     if start is None or not np.isfinite(start).all():
         return part.states[name][k], rank
-    for _ in range(LOCATING):
+    for _ in range(LOCATION_STEPS):
         state = part.states[name].copy()
         state[k] = start
         slopes = replace(part, states={**part.states, name: state}).slopes(R, p, theta)
-        there = ~np.isnan(slopes.residual)
-        B, r = slopes.by_thing[there][:, : len(free)][:, free], slopes.residual[there]
+        present = ~np.isnan(slopes.residual)
+        B, r = slopes.by_thing[present][:, : len(free)][:, free], slopes.residual[present]
         step, _, rank, _ = np.linalg.lstsq(B, r, rcond=1e-10)
         change = np.zeros((1, len(free)))
         change[0, free] = step
         start = role.moved(start[None], change)[0]
-        if np.all(np.abs(step) < FOUND):
+        if np.all(np.abs(step) < LOCATION_TOLERANCE):
             break
     return start, int(rank)
