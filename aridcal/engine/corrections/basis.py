@@ -19,7 +19,7 @@ class Basis:
     Attributes:
         form: Key of the function in :data:`FORMS`.
         of: Names of the covariates it depends on.
-        numbers: What else it needs: order, power, centre, knots.
+        numbers: Its parameters: order, power, centre, knots.
     """
 
     form: str = "1"
@@ -27,7 +27,7 @@ class Basis:
     numbers: tuple[float, ...] = ()
 
     def __hash__(self) -> int:
-        """Of the contents, found once: hundreds of candidates share a basis."""
+        """Hash of the contents, computed once: hundreds of candidates share a basis."""
         return self._hash
 
     @cached_property
@@ -35,7 +35,7 @@ class Basis:
         return hash((self.form, self.of, self.numbers))
 
     def __getstate__(self) -> dict[str, object]:
-        """Without what was found of it: another process hashes strings otherwise."""
+        """The fields without the hash: another process hashes strings otherwise."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
@@ -213,12 +213,12 @@ def evaluated(bases: Sequence[Basis], covariates: Mapping[str, np.ndarray]) -> n
     alike: dict[tuple[str, tuple[str, ...]], list[int]] = {}
     for k, basis in enumerate(bases):
         alike.setdefault((basis.form, basis.of), []).append(k)
-    found = np.empty((len(next(iter(covariates.values()))), len(bases)))
-    for (form, of), own in alike.items():
+    values = np.empty((len(next(iter(covariates.values()))), len(bases)))
+    for (form, of), members in alike.items():
         columns = [column[:, None] for column in _columns(form, of, covariates)]
-        numbers = np.array([bases[k].numbers for k in own])
-        found[:, own] = FORMS[form].value(columns, tuple(numbers.T))
-    return found
+        numbers = np.array([bases[k].numbers for k in members])
+        values[:, members] = FORMS[form].value(columns, tuple(numbers.T))
+    return values
 
 
 def _columns(form: str, of: Sequence[str], covariates: Mapping[str, np.ndarray]) -> Columns:

@@ -41,10 +41,10 @@ def is_of_head(kind: str) -> bool:
     return KINDS[kind].of_head != ""
 
 
-def usable_columns(measured: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
+def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
     """Measured columns that effects may depend on, and why the others may not."""
     good, barred = [], []
-    for name, values in measured.items():
+    for name, values in columns.items():
         empty = int(np.isnan(values).sum())
         if empty:
             barred.append(Barred(f"effects of {name}", f"the column has {empty} empty cells"))
@@ -58,14 +58,14 @@ def usable_columns(measured: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...],
 def barred_joints(rows: Observed) -> list[Barred]:
     """Joints whose own effects cannot be tested."""
     still = [j.name for j in rows.robot.joints if not rows.moves(j)]
-    found = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
+    barred = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
     loads = [values for name, values in rows.table.items() if ".gravity_" in name]
     if not loads:
         why = f"the column {' or '.join(rows.masses)} has empty cells"
-        found.append(Barred("compliance and load-side backlash", why))
+        barred.append(Barred("compliance and load-side backlash", why))
     elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
-        found.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
-    return found
+        barred.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
+    return barred
 
 
 def candidates(rows: Observed, kinds: Iterable[str]) -> list[Effect]:
@@ -85,33 +85,33 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
         CampaignError: there is no such effect on this robot or with these columns.
     """
     d, kind = declaration, KINDS[declaration.kind]
-    known = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
-    if d.where not in known:
+    places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
+    if d.where not in places:
         raise CampaignError(
-            f"{place}: effects: no place {d.where!r}{nearest(d.where, known)}; {d.kind} acts at {kind.where}"
+            f"{place}: effects: no place {d.where!r}{nearest(d.where, places)}; {d.kind} acts at {kind.where}"
         )
     if kind.of_head and d.where in {name for _, name in rows.held}:
         return _at_thing(rows, d, place)
     if kind.of_order and d.order:
-        found = [effect for order in d.order for effect in kind.of_order(d, order)]
+        effects = [effect for order in d.order for effect in kind.of_order(d, order)]
     elif kind.of_declaration:
-        found = list(kind.of_declaration(rows, d))
+        effects = list(kind.of_declaration(rows, d))
     else:
-        fitting = [effect for effect in _parts(candidates(rows, (d.kind,)), d) if _meant(effect, d)]
+        fitting = [effect for effect in _with_motions(candidates(rows, (d.kind,)), d) if _agrees(effect, d)]
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
-        found = curves or fitting
-        found = found[:1] if kind.exclusive else found
-    if not found and d.by == STATION and len(rows.labels) < 2:
+        effects = curves or fitting
+        effects = effects[:1] if kind.exclusive else effects
+    if not effects and d.by == STATION and len(rows.labels) < 2:
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where} by {STATION} needs a column `{STATION}` with 2 to {MOST_LABELS} different "
             "labels; name it under measurements.columns"
         )
-    if not found:
+    if not effects:
         raise CampaignError(
             f"{place}: effects: {d.kind} at {d.where} cannot be fitted: this robot or these columns have nothing that "
             "it could depend on; check its keys"
         )
-    effect = merged(found)
+    effect = merged(effects)
     return effect if d.at is None else _at_moment(rows, effect, d, place)
 
 
@@ -122,23 +122,23 @@ def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
         CampaignError: it has no such effect, or no such component.
     """
     every = candidates(rows, (d.kind,))
-    own = [effect for effect in every if effect.where == d.where]
-    if not own:
-        there = sorted({effect.where for effect in every})
-        raise CampaignError(f"{place}: effects: {d.kind} has no place {d.where!r}{nearest(d.where, there)}")
+    at_place = [effect for effect in every if effect.where == d.where]
+    if not at_place:
+        places = sorted({effect.where for effect in every})
+        raise CampaignError(f"{place}: effects: {d.kind} has no place {d.where!r}{nearest(d.where, places)}")
     if d.motion is None:
-        return own[0]
-    known = {c.component: c for effect in own for c in effect.coefficients}
+        return at_place[0]
+    by_component = {c.component: c for effect in at_place for c in effect.coefficients}
     for component in d.motion:
-        if component not in known:
+        if component not in by_component:
             raise CampaignError(
-                f"{place}: effects: {d.kind} at {d.where} has no {component!r}{nearest(component, known)}"
+                f"{place}: effects: {d.kind} at {d.where} has no {component!r}{nearest(component, by_component)}"
             )
-    return replace(own[0], coefficients=tuple(known[component] for component in d.motion))
+    return replace(at_place[0], coefficients=tuple(by_component[component] for component in d.motion))
 
 
 def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Effect:
-    """A step where a declaration has it.
+    """An effect whose step is at the row or time that a declaration gives.
 
     Raises:
         CampaignError: there is no such column, or all rows are on one side of it.
@@ -159,15 +159,15 @@ def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Ef
     return replace(effect, coefficients=tuple(replace(c, basis=basis) for c in effect.coefficients))
 
 
-def _parts(effects: Sequence[Effect], d: Declaration) -> list[Effect]:
-    """The motions that a declaration names of those that move all at once, as what jumped does."""
+def _with_motions(effects: Sequence[Effect], d: Declaration) -> list[Effect]:
+    """Effects with the motions alone that a declaration names, where one effect has all motions, as a step does."""
     if d.motion is None:
         return list(effects)
-    own = [(e, tuple(c for c in e.coefficients if e.at is None or c.component in d.motion)) for e in effects]
-    return [replace(e, coefficients=coefficients) for e, coefficients in own if coefficients]
+    named = [(e, tuple(c for c in e.coefficients if e.at is None or c.component in d.motion)) for e in effects]
+    return [replace(e, coefficients=coefficients) for e, coefficients in named if coefficients]
 
 
-def _meant(effect: Effect, d: Declaration) -> bool:
+def _agrees(effect: Effect, d: Declaration) -> bool:
     """True if an effect agrees with all that a declaration says."""
     return (
         effect.where == d.where

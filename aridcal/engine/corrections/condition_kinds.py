@@ -72,12 +72,12 @@ def _shift(rows: Observed) -> Iterator[Effect]:
         return
     half = len(values) // 2
     step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
-    seen = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
+    frames = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
     things = [
         (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= STEPPED
     ]
     things = things if len(things) <= MOST_STEPPED else []
-    for where, motion in (*seen.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):
+    for where, motion in (*frames.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):
         yield Effect("shift", where, tuple(Coefficient(where, component, step) for component in motion))
 
 

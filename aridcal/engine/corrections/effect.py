@@ -82,7 +82,7 @@ class Effect:
     looked: int = 1
 
     def __hash__(self) -> int:
-        """Of the contents, found once: searches look effects up millions of times."""
+        """Hash of the contents, computed once: searches look effects up millions of times."""
         return self._hash
 
     @cached_property
@@ -92,7 +92,7 @@ class Effect:
         return hash((self.kind, self.where, self.coefficients[:1], self.coefficients[-1:], shape))
 
     def __getstate__(self) -> dict[str, object]:
-        """Without what was found of it: another process hashes strings otherwise."""
+        """The fields without the hash: another process hashes strings otherwise."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
@@ -104,7 +104,7 @@ class Effect:
     def shape(self) -> Shape:
         """Samples of its smooth functions: one for each motion and covariate."""
         functions = groupby(self.coefficients, attrgetter("component", "basis.of"))
-        return tuple(self._samples([c.basis for c in own]) for _, own in functions)
+        return tuple(self._samples([c.basis for c in group]) for _, group in functions)
 
     def _samples(self, bases: Sequence[Basis]) -> Part:
         if bases[0].form == "ball":
@@ -134,9 +134,9 @@ class Effect:
         return next((c.basis for c in self.coefficients if c.basis.form == "step"), None)
 
     def placed(self, number: float) -> Effect:
-        """The same with its step at another value of its covariate."""
-        moved = tuple(replace(c, basis=replace(c.basis, numbers=(number,))) for c in self.coefficients)
-        return replace(self, coefficients=moved)
+        """The effect with its step at another value of its covariate."""
+        coefficients = tuple(replace(c, basis=replace(c.basis, numbers=(number,))) for c in self.coefficients)
+        return replace(self, coefficients=coefficients)
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -170,11 +170,11 @@ def direction(component: str, axis: np.ndarray | None) -> np.ndarray:
 
 @cache
 def _direction(component: str, axis: tuple[float, ...] | None) -> np.ndarray:
-    """The same, found once: models are made by the hundred, and move along a few."""
+    """:func:`direction`, computed once for each axis: models are made by the hundred, and move along a few."""
     if component in FRAME_COMPONENTS:
-        found = np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
+        vector = np.eye(3)[FRAME_COMPONENTS.index(component) % 3]
     else:
         assert axis is not None
-        found = transverse(np.array(axis))[int(component[1]) - 1]
-    found.flags.writeable = False
-    return found
+        vector = transverse(np.array(axis))[int(component[1]) - 1]
+    vector.flags.writeable = False
+    return vector

@@ -92,7 +92,7 @@ class Observed:
         return float(np.ptp(load)) > CHANGED * max(1.0, largest)
 
     def columns(self, prefix: str) -> tuple[str, ...]:
-        """Measured columns that are called so, or so with a suffix."""
+        """Measured columns whose name is the prefix, or the prefix with a suffix."""
         return tuple(n for n in self.measured if n == prefix or n.startswith(f"{prefix}_"))
 
 
@@ -165,10 +165,10 @@ def bumps(where: str, component: str, of: str, values: np.ndarray, knots: int) -
 
     Args:
         where: A joint of the chain, ``world_base`` or ``tip_target``.
-        component: That moves.
+        component: The one that moves.
         of: Name of the covariate; see :func:`knots_over`.
-        values: See there.
-        knots: See there.
+        values: Of the covariate, shape (N,).
+        knots: The most there may be.
     """
     return tuple(Coefficient(where, component, basis) for basis in knots_over(of, values, knots))
 

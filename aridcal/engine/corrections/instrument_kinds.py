@@ -22,12 +22,12 @@ FEWEST_OF_A_CUBIC = 20
 def of_things(
     kind: str, roles: Collection[str], *alternatives: tuple[str, ...]
 ) -> Callable[[Observed], Iterator[Effect]]:
-    """What is otherwise than stated at the things of some roles, where it is not identified anyway."""
+    """Effects at the things of some roles: components off their stated values, where these are not identified anyway."""
 
     def testable(rows: Observed) -> Iterator[Effect]:
-        for (of, where), held in rows.held.items():
+        for (of, where), exact in rows.held.items():
             for components in alternatives:
-                if of in roles and set(components) <= set(held):
+                if of in roles and set(components) <= set(exact):
                     yield Effect(kind, where, tuple(Coefficient(where, c, ALWAYS) for c in components))
 
     return testable
@@ -39,7 +39,7 @@ def _of_role(rows: Observed, role: str) -> Iterator[str]:
 
 
 def _range_error(rows: Observed) -> Iterator[Effect]:
-    """What a tracker shows, off along the line of sight by its range squared; a wire, by a power of its length."""
+    """A tracker that is off along the line of sight by its range squared; a wire that is off by a power of its length."""
     yield from of_things("range_error", ("tracker",), ("square",))(rows)
     for where in _of_role(rows, "anchor"):
         for power in POWERS:

@@ -43,8 +43,8 @@ ACROSS = ("r1", "r2", "t1", "t2")
 def _joint_gain(rows: Observed) -> Iterator[Effect]:
     """Difference q - mean(q), about the joint's own axis."""
     for j in rows.moving():
-        own = slope(j.name, "axis", j.name, middle(rows.table[j.name]))
-        yield Effect("joint_gain", j.name, (own,))
+        gain = slope(j.name, "axis", j.name, middle(rows.table[j.name]))
+        yield Effect("joint_gain", j.name, (gain,))
 
 
 def _joint_harmonic(rows: Observed) -> Iterator[Effect]:

@@ -19,12 +19,12 @@ def label_column(label: str) -> str:
 
 
 def label_in(name: str) -> str:
-    """The label of such a covariate."""
+    """The label of a covariate of a station."""
     return name[len(STATION) + 1 : -1]
 
 
 def is_label(name: str) -> bool:
-    """True for such a covariate."""
+    """True for a covariate of a station."""
     return name.startswith(f"{STATION}[") and name.endswith("]")
 
 
@@ -34,7 +34,7 @@ def labels_in(station: np.ndarray | None) -> list[str]:
 
 
 def label_columns(names: Iterable[str], station: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Those of some covariates that are of labels, shape (N,) each; none where the rows have no labels at all.
+    """The covariates of labels among some names, shape (N,) each; none where the rows have no labels at all.
 
     Args:
         names: Of covariates, others among them.

@@ -69,27 +69,27 @@ def needs(robot: Robot, bases: Iterable[Basis], around: Surroundings) -> tuple[s
     names = {name for basis in bases for name in basis.of if FORMS[basis.form].absent is None} - set(robot.names)
     names = {name for name in names if not is_sight(name)}
     loads = {name for name in names if is_load(name)}
-    held = any(around.loaded or ".payload_" in name for name in loads)
-    return tuple(sorted((names - loads) | (set(around.masses) if held else set())))
+    with_masses = any(around.loaded or ".payload_" in name for name in loads)
+    return tuple(sorted((names - loads) | (set(around.masses) if with_masses else set())))
 
 
 def covariate_table(
     robot: Robot,
     readings: np.ndarray,
-    measured: Mapping[str, np.ndarray],
+    columns: Mapping[str, np.ndarray],
     around: Surroundings,
     world: np.ndarray,
-    wanted: set[str],
+    names: set[str],
 ) -> dict[str, np.ndarray]:
     """Everything that a basis may depend on, computed once from the nominal model.
 
     Args:
         robot: The nominal chain.
         readings: Shape (N, columns), [rad] or [m].
-        measured: Columns of the table, shape (N,) each.
+        columns: Columns of the table, shape (N,) each.
         around: Gravity and the payloads' places.
         world: Index of each row's world_base frame, shape (N,).
-        wanted: Names that are needed; loads are computed only if one of them is.
+        names: Names that are needed; loads are computed only if one of them is.
 
     Returns:
         The joints' positions by name; the measured columns; ``JOINT.gravity_torque`` (force, if prismatic) and
@@ -97,15 +97,15 @@ def covariate_table(
         count; ``JOINT.payload_torque`` of all together. What would need a payload that is not among the columns is left out.
     """
     positions = dict(zip(robot.names, robot.positions(readings).T, strict=True))
-    table = dict(measured) | positions
-    if not any(is_load(name) for name in wanted):
+    table = dict(columns) | positions
+    if not any(is_load(name) for name in names):
         return table
     per_row = np.atleast_2d(around.gravity)[world if np.ndim(around.gravity) == 2 else 0]
     gravity = np.broadcast_to(per_row, (len(readings), 3))
     walked = tuple(tree_frames(robot, readings))
     pull: np.ndarray | float = 0.0
-    if all(name in measured for name in around.masses):
-        pulls = [_pull(robot, walked, each, measured[each.name][:, None] * gravity) for each in around.payloads]
+    if all(name in columns for name in around.masses):
+        pulls = [_pull(robot, walked, each, columns[each.name][:, None] * gravity) for each in around.payloads]
         hung = sum(pulls[1:], start=pulls[0])
         table |= {f"{joint.name}.payload_torque": _driving(joint, hung[:, j]) for j, joint in enumerate(robot.joints)}
         pull = hung
@@ -127,7 +127,7 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
 
 
 def _pull(robot: Robot, walked: Sequence[Walked], payload: Payload, weight: np.ndarray) -> np.ndarray:
-    """What a payload of some weight, shape (N, 3) [N], does to each joint, as :func:`gravity_loads` has it.
+    """Force and moment of a payload of some weight, shape (N, 3) [N], on each joint, as :func:`gravity_loads` has it.
 
     On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it.
     """
@@ -135,7 +135,9 @@ def _pull(robot: Robot, walked: Sequence[Walked], payload: Payload, weight: np.n
     R, origin = carried(robot, walked, link)
     place, bearing = origin + R @ payload.lever, bears(robot, link)
     chain = of_chain(robot, walked)
-    senses = [float(own) * (-1.0 if joint.climbs else 1.0) for own, joint in zip(bearing, robot.joints, strict=True)]
+    senses = [
+        float(on_path) * (-1.0 if joint.climbs else 1.0) for on_path, joint in zip(bearing, robot.joints, strict=True)
+    ]
     pulls = [np.cross(place - step.origin, weight) for step in chain]
     return borne_by(chain, [(sense * weight, sense * pull) for sense, pull in zip(senses, pulls, strict=True)])
 

@@ -1,4 +1,4 @@
-"""What all rows of one place err by alike: a nuisance beside which effects must show, and no effect of the robot.
+"""Errors that all rows of one place share: a nuisance beside which effects must show, and no effect of the robot.
 
 An instrument that is moved, re-aimed or read once for several rows errs alike in them. Each place has a shift and a turn of its
 own, of one size for all places, which the rows choose: a variance component (Searle, Casella and McCulloch, Variance Components,
@@ -20,9 +20,9 @@ SHIFT, TURN = ("world_base", ("x", "y", "z")), ("tip_target", ("roll", "pitch", 
 
 
 def place_scatter(place: np.ndarray, shifts: bool, turns: bool) -> tuple[Effect, ...]:
-    """A shift and a turn of each place of some rows, shape (N,); those that the rows measure."""
+    """A shift and a turn of each place, whose number each row has, shape (N,); without what the rows do not measure."""
     bases = [Basis("label", (_column(k),)) for k in np.unique(place).tolist()]
-    wanted = [motions for motions, measured in ((SHIFT, shifts), (TURN, turns)) if measured]
+    measurable = [motions for motions, measured in ((SHIFT, shifts), (TURN, turns)) if measured]
     return tuple(
         Effect(
             "regional",
@@ -31,17 +31,17 @@ def place_scatter(place: np.ndarray, shifts: bool, turns: bool) -> tuple[Effect,
             by=BY,
             smooth=True,
         )
-        for where, motion in wanted
+        for where, motion in measurable
     )
 
 
 def place_columns(place: np.ndarray) -> dict[str, np.ndarray]:
-    """Covariates of these: 1 in the rows of a place, shape (N,) each."""
+    """Covariates of the places: 1 in the rows of a place, shape (N,) each."""
     return {_column(k): (place == k).astype(float) for k in np.unique(place).tolist()}
 
 
 def is_scatter(effect: Effect) -> bool:
-    """True for what rows of a place err by alike."""
+    """True for an error that rows of a place share."""
     return effect.by == BY
 
 

@@ -67,8 +67,8 @@ def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield str(link.next_origin), ("pitch", "roll")
 
 
-def _stated(rows: Observed, d: Declaration) -> Iterator[Effect]:
-    """What a declaration says: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
+def _declared(rows: Observed, d: Declaration) -> Iterator[Effect]:
+    """The effect of a declaration: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
     motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
     by = d.by or IN_SPACE
     labels = (STATION,) if len(rows.labels) > 1 else ()
@@ -82,8 +82,8 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
     """Components that may vary at a place: of frames, of a joint and of its link."""
     if where in FRAMES:
         return FRAME_COMPONENTS
-    own = next((link.components for link in links_down(rows.robot) if link.joint == where), ())
-    return ("axis", *FRAME_COMPONENTS, *own)
+    of_link = next((link.components for link in links_down(rows.robot) if link.joint == where), ())
+    return ("axis", *FRAME_COMPONENTS, *of_link)
 
 
 def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
@@ -122,10 +122,10 @@ def spread_out(places: np.ndarray, count: int) -> tuple[np.ndarray, float]:
 
     Args:
         places: Shape (N, 3), [m].
-        count: Of those wanted.
+        count: How many to choose.
 
     Returns:
-        Those places, shape (count, 3), and the largest distance of any place from the nearest of them, [m].
+        The chosen places, shape (count, 3), and the largest distance of any place from the nearest of them, [m].
     """
     chosen = [int(np.argmin(np.linalg.norm(places - places.mean(axis=0), axis=1)))]
     distance = np.linalg.norm(places - places[chosen[0]], axis=1)
@@ -147,9 +147,9 @@ def far_from_nodes(bases: Iterable[Basis], places: np.ndarray) -> np.ndarray:
         if basis.form == "ball":
             nodes.setdefault(basis.numbers[3], []).append(basis.numbers[:3])
     far = np.zeros(len(places), dtype=bool)
-    for own in (np.array(own) for own in nodes.values() if len(own) >= LEAST_KNOTS):
-        apart = np.sort(cdist(own, own), axis=1)[:, 1].max()
-        far |= cdist(places, own).min(axis=1) > ALONE * apart
+    for group in (np.array(group) for group in nodes.values() if len(group) >= LEAST_KNOTS):
+        gap = np.sort(cdist(group, group), axis=1)[:, 1].max()
+        far |= cdist(places, group).min(axis=1) > ALONE * gap
     return far
 
 
@@ -161,11 +161,11 @@ def widths(effect: Effect) -> tuple[Effect, ...]:
 
 
 def _wider(coefficients: tuple[Coefficient, ...], factor: float) -> tuple[Coefficient, ...]:
-    found = []
+    wider = []
     for c in coefficients:
         *node, radius = c.basis.numbers
-        found.append(replace(c, basis=replace(c.basis, numbers=(*node, round(factor * radius, 6)))))
-    return tuple(found)
+        wider.append(replace(c, basis=replace(c.basis, numbers=(*node, round(factor * radius, 6)))))
+    return tuple(wider)
 
 
 def is_field(effect: Effect) -> bool:
@@ -197,10 +197,10 @@ def without_label(bases: Iterable[Basis], columns: Mapping[str, np.ndarray], cou
         count: Of the rows.
     """
     of_labels = labels_of(bases)
-    known = np.zeros(count, dtype=bool)
+    labelled = np.zeros(count, dtype=bool)
     for name in of_labels:
-        known |= columns[name] > 0.0
-    return ~known if of_labels else known
+        labelled |= columns[name] > 0.0
+    return ~labelled if of_labels else labelled
 
 
 REGIONAL = Kind(
@@ -212,7 +212,7 @@ REGIONAL = Kind(
     doc="regional",
     testable=_regional,
     key="by",
-    of_declaration=_stated,
+    of_declaration=_declared,
     asked=True,
     columns=lambda d: () if d.by in (IN_SPACE, STATION) else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
@@ -226,7 +226,7 @@ RESIDUAL_FIELD = Kind(
     example="{kind: residual_field, where: world_base}",
     doc="residual_field",
     testable=_residual_field,
-    of_declaration=_stated,
+    of_declaration=_declared,
     asked=True,
     named=False,
 )

@@ -1,4 +1,4 @@
-"""Smooth functions as samples: what is believed of them beforehand."""
+"""Smooth functions as samples: their prior."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPREAD = 1e-11  # smallest variance of a smooth function's modes, as a share of 
 
 @dataclass(frozen=True)
 class Kernel:
-    """What is believed of a smooth function beforehand: over how many knots it is alike, and if it has kinks.
+    """Prior of a smooth function: over how many knots it is alike, and if it has kinks.
 
     Attributes:
         length: Correlation length in knots.
@@ -40,7 +40,7 @@ Part = tuple[int, ...] | Nodes
 """Samples of one function: knots along each of its covariates, or nodes in space."""
 
 Shape = tuple[Part, ...]
-"""Those of several functions, one after the other, independent beforehand but alike in size and length."""
+"""Samples of several functions, one after the other: independent beforehand, but alike in size and length."""
 
 
 def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
@@ -48,7 +48,7 @@ def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
 
     Args:
         shape: What they are samples of.
-        kernel: What is believed of functions on knots; nodes hold it in their radius.
+        kernel: Prior of functions on knots; nodes hold theirs in their radius.
     """
     roots = [_nodes_root(part) if isinstance(part, Nodes) else kernel_root(part, kernel) for part in shape]
     from scipy.linalg import block_diag  # slow to load, and a campaign is read without it
@@ -57,7 +57,7 @@ def samples_root(shape: Shape, kernel: Kernel) -> np.ndarray:
 
 
 def kernels_that_matter(shape: Shape, kernels: tuple[Kernel, ...]) -> tuple[Kernel, ...]:
-    """Of some kernels those that make a difference to samples: one where all are at nodes, or alone, as those of a label."""
+    """The kernels that make a difference to samples: one where all samples are at nodes, or alone, as those of a label."""
     return kernels[:1] if all(isinstance(part, Nodes) or part == (1,) for part in shape) else kernels
 
 
@@ -72,7 +72,7 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
 
     Args:
         shape: Knots along each covariate.
-        kernel: What is believed.
+        kernel: Prior along each covariate.
 
     Returns:
         B with covariance B B', shape (knots, knots) of all knots. No mode has less than a share :data:`SPREAD` of the
@@ -85,8 +85,8 @@ def kernel_root(shape: tuple[int, ...], kernel: Kernel) -> np.ndarray:
         covariance = _matern(distance) if kernel.kinks else np.exp(-0.5 * distance**2)
         variances, modes = np.linalg.eigh(covariance)
         least = SPREAD ** (1 / len(shape)) * variances[-1]
-        own = modes * np.sqrt(np.maximum(variances, least))
-        root = np.kron(root, own)
+        along = modes * np.sqrt(np.maximum(variances, least))
+        root = np.kron(root, along)
     return root
 
 
@@ -117,7 +117,7 @@ def smooth_precision(shape: Shape, tau: float, kernel: Kernel) -> np.ndarray:
     Args:
         shape: What they are samples of.
         tau: Prior deviation of a coefficient, of a function at nodes that of the function, [m] or [rad].
-        kernel: What is believed beside that.
+        kernel: Prior beside that deviation.
     """
     root = np.linalg.inv(samples_root(shape, kernel))
     return np.asarray(root.T @ root) / tau**2
