@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.instruments.kind import Kind, Role
 from aridcal.engine.instruments.kinds import KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
-from aridcal.engine.instruments.pixels import UNSEEN
+from aridcal.engine.instruments.pixels import UNSEEN_RESIDUAL
 from aridcal.engine.instruments.pose import turned_back
 from aridcal.engine.robot.kinematics import transverse
 
@@ -137,7 +137,7 @@ def test_derivatives_by_every_component_of_every_role_are_those_of_the_residual(
             by_local = kind.derivatives(R, p, observed, there).by_state[j]
             by_component = by_local if role.slope is None else by_local @ role.slope(states[j], change)
             if name == "pixels":  # some have left the image: their residual is a constant
-                front = kind.residual(R, p, observed, there)[:, 0] != UNSEEN
+                front = kind.residual(R, p, observed, there)[:, 0] != UNSEEN_RESIDUAL
                 assert front.sum() > 3
             else:
                 front = np.ones(len(p), dtype=bool)
@@ -149,7 +149,7 @@ def test_derivatives_by_every_component_of_every_role_are_those_of_the_residual(
                     moved[j] = kind.roles[j].moved(states[j], change + step * own)
                     return kind.residual(R, p, observed, moved)
 
-                near = [residual(3 * s)[:, 0] != UNSEEN for s in (-STEP, STEP)]
+                near = [residual(3 * s)[:, 0] != UNSEEN_RESIDUAL for s in (-STEP, STEP)]
                 kept = front & near[0] & near[1] & (np.abs(residual(0.0)).max(axis=1) < 2000)
                 assert kept.sum() > 3
                 same(by_component[kept, :, k], -slope(residual)[kept])
@@ -189,7 +189,7 @@ def test_what_is_behind_the_camera_is_far_off_and_moves_nowhere() -> None:
     R, p, observed, states = rows("pixels")
     states[0][:, 3:12] = (states[0][:, 3:12].reshape(-1, 3, 3) @ np.diag([1.0, -1.0, -1.0])).reshape(-1, 9)
     seen = KINDS["pixels"].derivatives(R, p, observed, states)
-    assert (seen.residual == UNSEEN).all()
+    assert (seen.residual == UNSEEN_RESIDUAL).all()
     assert not seen.by_twist.any()
     assert not any(part.any() for part in seen.by_state)
 

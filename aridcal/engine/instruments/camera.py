@@ -101,9 +101,9 @@ def project_jacobian(points: np.ndarray, intrinsics: np.ndarray) -> tuple[np.nda
     along = -np.einsum("...ij,...j->...i", across, xy)
     by_point = np.concatenate([across, along[..., None]], axis=-1)
 
-    own = np.eye(2)  # fx and cx move u alone, fy and cy move v alone
-    by_focal = own * bent[..., None]
-    by_middle = np.broadcast_to(own, by_focal.shape)
+    unit = np.eye(2)  # fx and cx move u alone, fy and cy move v alone
+    by_focal = unit * bent[..., None]
+    by_middle = np.broadcast_to(unit, by_focal.shape)
     by_intrinsics = np.concatenate([by_focal, by_middle, focal[..., None] * by_k], axis=-1)
     return middle + focal * bent, by_point, by_intrinsics
 
@@ -163,8 +163,8 @@ def predict_pixels(
     """
     R = T_camera_square[..., :3, :3]
     t = T_camera_square[..., None, :3, 3]
-    seen = points @ np.swapaxes(R, -1, -2) + t
-    pixels, by_point, by_intrinsics = project_jacobian(seen, intrinsics)
+    in_camera = points @ np.swapaxes(R, -1, -2) + t
+    pixels, by_point, by_intrinsics = project_jacobian(in_camera, intrinsics)
     linear = by_point @ R[..., None, :, :]
     by_twist = np.concatenate([linear, np.cross(points[..., None, :], linear)], axis=-1)  # (w x P) . l = w . (P x l)
     return pixels, by_twist, by_intrinsics

@@ -30,20 +30,20 @@ from aridcal.engine.instruments.pose import residuals, turned_back
 CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
 """Places of corrections of a head: its camera, and what all its sonars have alike; single ones are ``sonar_1`` and so on."""
 
-PER_SONAR = ("bias", "scale")
+FAULTS_OF_A_SONAR = ("bias", "scale")
 """What may be wrong with a sonar: what it adds [m], and the share by which it reads too much."""
 
 POSE = 6
 """Coordinates of a pose."""
 
-PLACES, COUNT = 25, 24
+WIDTH_OF_POSES, COUNT = 25, 24
 """Numbers of a row before its ranges: T_world_square and a first T_camera_square, their upper three rows, and the last of them,
 how many numbers the shot has read."""
 
-PER_MARK = 8
+NUMBERS_OF_A_MARK = 8
 """Numbers of an image point: its place on the square (3), its pixel (2), and the lower triangle that divides by its noise."""
 
-STEPS, STILL = 20, 1e-12
+POSE_STEPS, ROUNDING_STEP = 20, 1e-12
 """Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
 
 SHORTEN = 4.0
@@ -68,20 +68,20 @@ class Head:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the numbers: ``camera.fx`` ... ``sonar_1.bias`` ... ``sonar_1.scale`` ..."""
+        """Names of the numbers: ``camera.fx`` ... ``sonar_1.bias`` ... ``sonar_1.scale`` ..."""
         count = range(1, len(self.positions) + 1)
-        sonars = [f"{SONAR}_{k}.{what}" for what in PER_SONAR for k in count]
+        sonars = [f"{SONAR}_{k}.{what}" for what in FAULTS_OF_A_SONAR for k in count]
         return (*(f"{CAMERA}.{name}" for name in INTRINSICS), *sonars)
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Of the numbers."""
+        """Units of the numbers."""
         lens = ["px" if name[0] in "fc" else "1" for name in INTRINSICS]
         return (*lens, *(len(self.positions) * ["m"]), *(len(self.positions) * ["1"]))
 
     @property
     def intrinsics(self) -> np.ndarray:
-        """Of the camera, shape (9,)."""
+        """Numbers of the camera, shape (9,)."""
         return self.phi[: len(INTRINSICS)]
 
     @property
@@ -114,7 +114,9 @@ class Head:
         places[f"{CAMERA}.f"] = (f"{CAMERA}.fx", f"{CAMERA}.fy")
         if len(self.positions):
             every = range(1, len(self.positions) + 1)
-            places |= {f"{ALL_SONARS}.{what}": tuple(f"{SONAR}_{k}.{what}" for k in every) for what in PER_SONAR}
+            places |= {
+                f"{ALL_SONARS}.{what}": tuple(f"{SONAR}_{k}.{what}" for k in every) for what in FAULTS_OF_A_SONAR
+            }
         return Role(HEAD, self.names, self.units, len(self.state), _moved, None, (), many=False, places=places)
 
 
@@ -181,35 +183,35 @@ def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
     size = len(INTRINSICS) + S
     enough = -(-(POSE + size - S) // 2)  # for a basis of pose and trace
     count = max(enough, *(len(shot.points) for shot in shots))
-    own = [
+    poses = [
         [shot.T_world_square[:3].ravel(), shot.T_camera_square[:3].ravel(), [S + 2 * len(shot.points)], shot.ranges]
         for shot in shots
     ]
     marks = [_marks(shot, count).ravel() for shot in shots]
-    read = np.array([np.concatenate([*parts, numbers]) for parts, numbers in zip(own, marks, strict=True)])
-    rows = np.hstack([read, np.zeros((n, (S + 2 * count) * size))])
+    readings = np.array([np.concatenate([*parts, numbers]) for parts, numbers in zip(poses, marks, strict=True)])
+    rows = np.hstack([readings, np.zeros((n, (S + 2 * count) * size))])
     _, _, B, D = _at_best(unpacked(rows, S), head)
     Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :size]], axis=2))
     sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
-    rows[:, read.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
+    rows[:, readings.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
     return rows
 
 
 def _marks(shot: HeadShot, count: int) -> np.ndarray:
     """Numbers of image points, shape (count, 8): NaN beyond those that a shot has."""
-    made = np.full((count, PER_MARK), np.nan)
+    numbers = np.full((count, NUMBERS_OF_A_MARK), np.nan)
     lower = np.linalg.inv(np.linalg.cholesky(shot.covariances))
-    made[: len(lower)] = np.hstack([shot.points, shot.pixels, lower[:, [0, 1, 1], [0, 0, 1]]])
-    return made
+    numbers[: len(lower)] = np.hstack([shot.points, shot.pixels, lower[:, [0, 1, 1], [0, 0, 1]]])
+    return numbers
 
 
 def unpacked(observed: np.ndarray, sonars: int) -> Shots:
     """Rows of numbers as shots: two poses and how many numbers a shot has, ranges, image points, and the basis of its trace."""
     n, size = len(observed), len(INTRINSICS) + sonars
-    count = (observed.shape[1] - PLACES - sonars - sonars * size) // (PER_MARK + 2 * size)
-    ends = np.cumsum([12, 12, 1, sonars, PER_MARK * count])
+    count = (observed.shape[1] - WIDTH_OF_POSES - sonars - sonars * size) // (NUMBERS_OF_A_MARK + 2 * size)
+    ends = np.cumsum([12, 12, 1, sonars, NUMBERS_OF_A_MARK * count])
     world, start, numbers, ranges, marks, basis = np.split(observed, ends, axis=1)
-    marks = marks.reshape(n, count, PER_MARK)
+    marks = marks.reshape(n, count, NUMBERS_OF_A_MARK)
     marks = np.where(np.isnan(marks[:, :, :1]), 0.0, marks)
     whiten = np.zeros((n, count, 2, 2))
     whiten[..., [0, 1, 1], [0, 0, 1]] = marks[..., 5:]
@@ -253,14 +255,14 @@ class Reduced:
 
 
 def reduced(shots: Shots, head: Head) -> Reduced:
-    """Reduce shots, the head being as given."""
+    """Shots as poses and traces, with the head as it is."""
     T, y, B, D = _at_best(shots, head)
     back, S = B.transpose(0, 2, 1), shots.ranges.shape[1]
     C = _inverse(back @ B)
     twist_by_phi = -C @ (back @ D)
     trace = np.einsum("nij,ni->nj", shots.basis, y)
-    left = shots.count - POSE
-    trace[beyond(left, trace.shape[1])] = 0.0
+    freedom = shots.count - POSE
+    trace[beyond(freedom, trace.shape[1])] = 0.0
     Rc = T[:, :, :3].transpose(0, 2, 1)
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
     world = shots.T_world_square
@@ -273,13 +275,13 @@ def reduced(shots: Shots, head: Head) -> Reduced:
         trace=trace,
         slope=shots.basis.transpose(0, 2, 1) @ (D + B @ twist_by_phi),
         misfit=np.einsum("ni,ni->n", y, y),
-        freedom=left,
+        freedom=freedom,
         range_residuals=y[:, :S] * head.std,
     )
 
 
 def _at_best(shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Where image points and ranges fit best.
+    """Shots at the poses where their image points and ranges fit best.
 
     Returns:
         Upper rows of T_camera_square (n, 3, 4), y (n, L), B (n, L, 6) and D (n, L, H) there.
@@ -289,23 +291,23 @@ def _at_best(shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarr
     n, S = shots.ranges.shape
     D = np.zeros((n, y.shape[1], len(head.phi)))
     # A reading is (1 + scale) h + bias; divided by 1 + scale, to keep its noise as stated.
-    stretch, own = (1.0 + head.scale) * head.std, np.arange(S)
-    D[:, own, len(INTRINSICS) + own] = 1.0 / stretch
-    D[:, own, len(INTRINSICS) + S + own] = h / stretch
+    stretch, sonar = (1.0 + head.scale) * head.std, np.arange(S)
+    D[:, sonar, len(INTRINSICS) + sonar] = 1.0 / stretch
+    D[:, sonar, len(INTRINSICS) + S + sonar] = h / stretch
     D[:, S:, : len(INTRINSICS)] = by_pixels
     return T, y, B, D
 
 
-def beyond(left: np.ndarray, size: int) -> np.ndarray:
-    """Numbers of a trace that shots do not have, shape (n, size), from what they have beyond their poses, shape (n,)."""
-    return np.asarray(np.arange(size) >= left[:, None])
+def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
+    """Which numbers of a trace shots do not have, shape (n, size), from their freedoms beyond their poses, shape (n,)."""
+    return np.asarray(np.arange(size) >= freedom[:, None])
 
 
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
-    made = np.zeros((len(observed), m), dtype=bool)
-    made[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
-    return made
+    missing = np.zeros((len(observed), m), dtype=bool)
+    missing[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
+    return missing
 
 
 def _posed(shots: Shots, head: Head) -> np.ndarray:
@@ -313,7 +315,7 @@ def _posed(shots: Shots, head: Head) -> np.ndarray:
     from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
 
     T = shots.start.copy()
-    for _ in range(STEPS):
+    for _ in range(POSE_STEPS):
         y, B, _, _ = _whitened(T, shots, head)
         back = B.transpose(0, 2, 1)
         step = np.einsum("nij,nj->ni", _inverse(back @ B), np.einsum("nij,nj->ni", back, y))
@@ -321,13 +323,13 @@ def _posed(shots: Shots, head: Head) -> np.ndarray:
         step /= np.maximum(1.0, SHORTEN * far)[:, None]
         T[:, :, 3] += np.einsum("nij,nj->ni", T[:, :, :3], step[:, :3])
         T[:, :, :3] = T[:, :, :3] @ Rotation.from_rotvec(step[:, 3:]).as_matrix()
-        if np.abs(step).max(initial=0.0) < STILL:
+        if np.abs(step).max(initial=0.0) < ROUNDING_STEP:
             break
     return T
 
 
 def _whitened(T: np.ndarray, shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """What is measured less what is predicted, over the noise: ranges (1 + scale) h + bias undone, then image points.
+    """Measured minus predicted, over the noise: ranges, with scale and bias undone, then image points.
 
     Returns:
         y (n, L) with L = S + 2 M; its prediction's derivatives by the square's twist (n, L, 6) and, of the image points, by
@@ -345,32 +347,32 @@ def _whitened(T: np.ndarray, shots: Shots, head: Head) -> tuple[np.ndarray, np.n
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Inverses of informations of poses, metres and radians brought to one scale, shape (n, 6, 6)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), TINY))
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), RIDGE))
     outer = scale[:, :, None] * scale[:, None, :]
-    return np.asarray(outer * np.linalg.inv(information * outer + TINY * np.eye(POSE)))
+    return np.asarray(outer * np.linalg.inv(information * outer + RIDGE * np.eye(POSE)))
 
 
-TINY = 1e-14
-"""What is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
+RIDGE = 1e-14
+"""A number that is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
 
 
 def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted pose of the camera [m, rad], and the trace."""
-    found = _of_rows(observed, states)
-    return np.hstack([residuals(R, p, found.position, found.rotation), found.trace])
+    reduction = _of_rows(observed, states)
+    return np.hstack([residuals(R, p, reduction.position, reduction.rotation), reduction.trace])
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives; the head's numbers move what is measured, a prediction the other way."""
-    found = _of_rows(observed, states)
-    r = residuals(R, p, found.position, found.rotation)
-    n, count = found.trace.shape
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives; the head's numbers move what is measured, a prediction the other way."""
+    reduction = _of_rows(observed, states)
+    r = residuals(R, p, reduction.position, reduction.rotation)
+    n, count = reduction.trace.shape
     by_twist = np.zeros((n, POSE + count, POSE))
     by_twist[:, :3, :3] = np.eye(3)
     by_twist[:, 3:POSE, 3:] = turned_back(r[:, 3:])
-    by_head = np.concatenate([-found.sensitivity, found.slope], axis=1)
+    by_head = np.concatenate([-reduction.sensitivity, reduction.slope], axis=1)
     by_head[:, 3:POSE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE]
-    return Seen(np.hstack([r, found.trace]), by_twist, (by_head,))
+    return Seen(np.hstack([r, reduction.trace]), by_twist, (by_head,))
 
 
 def _noise(observed: np.ndarray, states: States) -> np.ndarray:
@@ -382,8 +384,8 @@ def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarra
     """Poses of the camera, the head being as declared."""
     if not len(observed):
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
-    found = _of_rows(observed, states)
-    return found.position, found.rotation
+    reduction = _of_rows(observed, states)
+    return reduction.position, reduction.rotation
 
 
 def _of_rows(observed: np.ndarray, states: States) -> Reduced:
@@ -409,7 +411,7 @@ CAMERA_SONAR = Kind(
     read=(),
     roles=(Role(HEAD, (), (), 0, _moved, None, (), many=False),),
     residual=_residual,
-    derivatives=_seen,
+    derivatives=_derivatives,
     located=None,
     turns=True,
     placed=_placed,

@@ -95,17 +95,17 @@ def flat(values: np.ndarray, channels: Channels, present: np.ndarray) -> tuple[n
         present: Which rows have numbers of each, shape (n, C) bool: the others are left out.
     """
     _, _, *tail = values.shape
-    made = []
-    for channel, part, own in zip(channels, columns(channels), present.T, strict=True):
-        rows = values[:, part] if own.all() else values[own][:, part]
-        made.append(rows.reshape(len(rows) * channel.size, *tail))
-    return tuple(made)
+    parts = []
+    for channel, part, present_rows in zip(channels, columns(channels), present.T, strict=True):
+        rows = values[:, part] if present_rows.all() else values[present_rows][:, part]
+        parts.append(rows.reshape(len(rows) * channel.size, *tail))
+    return tuple(parts)
 
 
 def by_row(parts: Sequence[np.ndarray], channels: Channels, present: np.ndarray) -> np.ndarray:
-    """What :func:`flat` made, row by row again, shape (n, m, d) or (n, m); 0 where a row has no number."""
+    """The inverse of :func:`flat`: numbers row by row, shape (n, m, d) or (n, m); 0 where a row has none."""
     _, *tail = parts[0].shape
     rows = np.zeros((len(present), sum(channel.size for channel in channels), *tail))
-    for values, channel, part, own in zip(parts, channels, columns(channels), present.T, strict=True):
-        rows[own, part] = values.reshape(-1, channel.size, *tail)
+    for values, channel, part, present_rows in zip(parts, channels, columns(channels), present.T, strict=True):
+        rows[present_rows, part] = values.reshape(-1, channel.size, *tail)
     return rows

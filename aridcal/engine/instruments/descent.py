@@ -13,7 +13,7 @@ LEAST_DAMPING = 1e-12
 MOST_DAMPING = 1e8
 """Marquardt's, as shares of the equations' own diagonal."""
 
-ENOUGH = 1e-9
+LEAST_GAIN = 1e-9
 """Relative gain of a step after which no further is tried."""
 
 
@@ -56,10 +56,10 @@ class View:
 
     def complete(self, states: dict[str, np.ndarray]) -> np.ndarray:
         """Rows of which everything has a state, shape (n,) bool."""
-        whole = np.ones(len(self), dtype=bool)
+        complete = np.ones(len(self), dtype=bool)
         for state in self.of_rows(states):
-            whole &= np.isfinite(state).all(axis=1)
-        return whole
+            complete &= np.isfinite(state).all(axis=1)
+        return complete
 
 
 @dataclass(frozen=True)
@@ -98,35 +98,35 @@ class _Equations:
 
 def placed(view: View, target: np.ndarray, states: dict[str, np.ndarray]) -> Place:
     """A place with its cost."""
-    whole = view.complete(states)
-    if not whole.any():
+    complete = view.complete(states)
+    if not complete.any():
         return Place(target, states, np.inf)
-    some = view.select(whole)
+    some = view.select(complete)
     residual = view.kind.residual(*some.target(target), some.observed, some.of_rows(states))
     return Place(target, states, float(np.mean(residual**2)))
 
 
 def descend(view: View, start: Place, steps: int) -> Place:
     """Levenberg and Marquardt's steps from a start; rows without all their states are left out, and their things stay."""
-    whole = view.complete(start.states)
-    if not whole.any() or not np.isfinite(start.cost):
+    complete = view.complete(start.states)
+    if not complete.any() or not np.isfinite(start.cost):
         return start
-    view = view if whole.all() else view.select(whole)
-    here, damping = placed(view, start.target, start.states), FIRST_DAMPING
-    equations = _equations(view, here)
+    view = view if complete.all() else view.select(complete)
+    place, damping = placed(view, start.target, start.states), FIRST_DAMPING
+    equations = _equations(view, place)
     for _ in range(steps):
-        there = _stepped(view, here, equations, damping)
-        if there.cost < here.cost:
-            enough = there.cost > (1.0 - ENOUGH) * here.cost
-            here, damping = there, max(0.1 * damping, LEAST_DAMPING)
-            if enough:
+        trial = _step(view, place, equations, damping)
+        if trial.cost < place.cost:
+            converged = trial.cost > (1.0 - LEAST_GAIN) * place.cost
+            place, damping = trial, max(0.1 * damping, LEAST_DAMPING)
+            if converged:
                 break
-            equations = _equations(view, here)
+            equations = _equations(view, place)
         else:
             damping *= 10.0
             if damping > MOST_DAMPING:
                 break
-    return here
+    return place
 
 
 def _layout(view: View) -> tuple[list[int], int]:
@@ -141,28 +141,28 @@ def _layout(view: View) -> tuple[list[int], int]:
 def _equations(view: View, place: Place) -> _Equations:
     """Accumulate the normal equations at a place."""
     kind, n = view.kind, len(view)
-    seen = kind.derivatives(*view.target(place.target), view.observed, view.of_rows(place.states))
+    derivatives = kind.derivatives(*view.target(place.target), view.observed, view.of_rows(place.states))
     first, count = _layout(view)
-    J = np.zeros((n, count, seen.residual.shape[1]))
+    J = np.zeros((n, count, derivatives.residual.shape[1]))
     if view.moves:
-        J[:, :3] = np.swapaxes(seen.by_twist[:, :, :3] @ view.R, 1, 2)
+        J[:, :3] = np.swapaxes(derivatives.by_twist[:, :, :3] @ view.R, 1, 2)
     B, C, h = np.zeros((0, 0, 0)), np.zeros((0, 0, count)), np.zeros((0, 0))
     for j, role in enumerate(kind.roles):
-        own, free = view.refers[:, j], view.free[role.name]
+        thing, free = view.refers[:, j], view.free[role.name]
         L, u = free.shape
-        across = np.swapaxes(seen.by_state[j] * free[own][:, None], 1, 2)
+        across = np.swapaxes(derivatives.by_state[j] * free[thing][:, None], 1, 2)
         if not role.many:
-            J[np.arange(n)[:, None], first[j] + u * own[:, None] + np.arange(u)] = across
+            J[np.arange(n)[:, None], first[j] + u * thing[:, None] + np.arange(u)] = across
         else:  # the last one: J is complete
             B, C, h = np.zeros((L, u, u)), np.zeros((L, u, count)), np.zeros((L, u))
-            np.add.at(B, own, across @ np.swapaxes(across, 1, 2))
-            np.add.at(C, own, across @ np.swapaxes(J, 1, 2))
-            np.add.at(h, own, (across @ seen.residual[:, :, None])[:, :, 0])
+            np.add.at(B, thing, across @ np.swapaxes(across, 1, 2))
+            np.add.at(C, thing, across @ np.swapaxes(J, 1, 2))
+            np.add.at(h, thing, (across @ derivatives.residual[:, :, None])[:, :, 0])
     flat = np.swapaxes(J, 1, 2).reshape(-1, count)
-    return _Equations(flat.T @ flat, flat.T @ seen.residual.ravel(), B, C, h)
+    return _Equations(flat.T @ flat, flat.T @ derivatives.residual.ravel(), B, C, h)
 
 
-def _stepped(view: View, here: Place, e: _Equations, damping: float) -> Place:
+def _step(view: View, place: Place, e: _Equations, damping: float) -> Place:
     """One damped step: the blocks eliminated, the dense unknowns solved, the blocks filled in."""
     B, A = _damped(e.B, damping), _damped(e.A[None], damping)[0]
     solved = np.linalg.solve(B, np.concatenate([e.C, e.h[:, :, None]], axis=2))
@@ -171,15 +171,15 @@ def _stepped(view: View, here: Place, e: _Equations, damping: float) -> Place:
     right = e.g - np.einsum("lud,lu->d", e.C, alone)
     dense = np.linalg.lstsq(reduced, right, rcond=None)[0]
     blocks = alone - per_dense @ dense
-    target = here.target.copy()
+    target = place.target.copy()
     target[:3, 3] += dense[:3]
-    states, (first, _) = dict(here.states), _layout(view)
+    states, (first, _) = dict(place.states), _layout(view)
     for j, role in enumerate(view.kind.roles):
-        u, state = len(role.components), here.states[role.name]
+        u, state = len(role.components), place.states[role.name]
         change = blocks if role.many else dense[first[j] : first[j] + u * len(state)].reshape(len(state), u)
-        known = np.isfinite(state).all(axis=1) & view.free[role.name].any(axis=1)
+        movable = np.isfinite(state).all(axis=1) & view.free[role.name].any(axis=1)
         states[role.name] = state.copy()
-        states[role.name][known] = role.moved(state[known], change[known])
+        states[role.name][movable] = role.moved(state[movable], change[movable])
     return placed(view, target, states)
 
 
@@ -187,9 +187,9 @@ def _damped(matrices: np.ndarray, damping: float) -> np.ndarray:
     """Matrices with their diagonals raised; what nothing moves is held."""
     diagonal = np.einsum("lii->li", matrices)
     raised = np.where(diagonal > 0.0, (1.0 + damping) * diagonal, 1.0)
-    made = matrices.copy()
-    np.einsum("lii->li", made)[...] = raised
-    return made
+    raised_matrices = matrices.copy()
+    np.einsum("lii->li", raised_matrices)[...] = raised
+    return raised_matrices
 
 
 def spread(count: int, most: int) -> np.ndarray:
@@ -200,26 +200,26 @@ def spread(count: int, most: int) -> np.ndarray:
 
 
 def located(
-    view: View, target: np.ndarray, states: dict[str, np.ndarray], labels: np.ndarray, known: np.ndarray
+    view: View, target: np.ndarray, states: dict[str, np.ndarray], labels: np.ndarray, beforehand: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """States with some things of the last role where their own rows have them; components that are not free stay."""
+    """States in which their own rows have located some things of the last role; components that are not free stay."""
     kind = view.kind
-    role, own = kind.roles[-1], view.refers[:, -1]
+    role, thing = kind.roles[-1], view.refers[:, -1]
     assert kind.located is not None
-    made = states[role.name].copy()
-    order = np.argsort(own, kind="stable")
-    bounds = np.searchsorted(own[order], np.arange(len(made) + 1))
+    new = states[role.name].copy()
+    order = np.argsort(thing, kind="stable")
+    bounds = np.searchsorted(thing[order], np.arange(len(new) + 1))
     R, p = view.target(target)
-    of_rows = view.of_rows({**states, role.name: known})
+    of_rows = view.of_rows({**states, role.name: beforehand})
     for label in labels:
         rows = order[bounds[label] : bounds[label + 1]]
         if len(rows):
-            found = kind.located(R[rows], p[rows], view.observed[rows], [state[rows] for state in of_rows])
-            made[label] = _kept(found, known[label], view.free[role.name][label])
-    return {**states, role.name: made}
+            estimate = kind.located(R[rows], p[rows], view.observed[rows], [state[rows] for state in of_rows])
+            new[label] = _with_exact(estimate, beforehand[label], view.free[role.name][label])
+    return {**states, role.name: new}
 
 
-def _kept(found: np.ndarray, known: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """What was found, with the numbers that are known and not free; of a plane or a pose all are free, or none."""
-    own = free if len(free) == len(found) else np.full(len(found), free.any())
-    return np.where(~own & np.isfinite(known), known, found)
+def _with_exact(estimate: np.ndarray, beforehand: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """An estimate with the numbers that are known beforehand and not free; of a plane or a pose all are free, or none."""
+    movable = free if len(free) == len(estimate) else np.full(len(estimate), free.any())
+    return np.where(~movable & np.isfinite(beforehand), beforehand, estimate)

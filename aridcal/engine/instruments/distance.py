@@ -7,7 +7,7 @@ import numpy as np
 from aridcal.engine.instruments.channels import LENGTH
 from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, points_twist
 
-PLAIN = 1e-4
+LEAST_SINGULAR = 1e-4
 """Least singular value, as a share of the largest, of equations that are solved: below it noise of a ten-thousandth of the
 workspace says more than they do."""
 
@@ -31,8 +31,8 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(observed - predicted[:, None])
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives: along the wire for the target, against it for the anchor."""
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives: along the wire for the target, against it for the anchor."""
     (anchor,) = states
     scale = anchor[:, 4:]
     wire = p - anchor[:, :3]
@@ -53,9 +53,9 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     distance from the anchor), the offset is held, at the state's or else at nothing. The scale is held at the state's, or else
     at one.
     """
-    known = states[0][0] if len(p) else np.full(5, np.nan)
-    scale = known[4] if np.isfinite(known[4]) and known[4] != 0.0 else 1.0
-    held = known[3] if np.isfinite(known[3]) else 0.0
+    state = states[0][0] if len(p) else np.full(5, np.nan)
+    scale = state[4] if np.isfinite(state[4]) and state[4] != 0.0 else 1.0
+    offset = state[3] if np.isfinite(state[3]) else 0.0
     if not len(p):
         return np.full(5, np.nan)
     middle = p.mean(axis=0)
@@ -66,11 +66,11 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     solved = plain_solution(every, np.sum(centred**2, axis=1) - ranges**2)
     if solved is not None:
         return np.array([*(solved[:3] + middle), solved[3] * scale, scale])
-    shorter = ranges - held / scale
+    shorter = ranges - offset / scale
     solved = plain_solution(every[:, [0, 1, 2, 4]], np.sum(centred**2, axis=1) - shorter**2)
     if solved is None:
         return np.full(5, np.nan)
-    return np.array([*(solved[:3] + middle), held, scale])
+    return np.array([*(solved[:3] + middle), offset, scale])
 
 
 def plain_solution(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
@@ -81,11 +81,18 @@ def plain_solution(A: np.ndarray, b: np.ndarray) -> np.ndarray | None:
     if not (length > 0.0).all():
         return None
     U, singular, Vt = np.linalg.svd(A / length, full_matrices=False)
-    if singular[-1] < PLAIN * singular[0]:
+    if singular[-1] < LEAST_SINGULAR * singular[0]:
         return None
     return np.asarray((Vt.T @ ((U.T @ b) / singular)) / length)
 
 
 DISTANCE = Kind(
-    "distance", "the target's distance from an anchor", (LENGTH,), ("distance",), (ANCHOR,), _residual, _seen, _located
+    "distance",
+    "the target's distance from an anchor",
+    (LENGTH,),
+    ("distance",),
+    (ANCHOR,),
+    _residual,
+    _derivatives,
+    _located,
 )

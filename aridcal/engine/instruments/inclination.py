@@ -12,16 +12,16 @@ from aridcal.engine.robot.kinematics import transverse
 DOWN = np.array([0.0, 0.0, -1.0])
 """Gravity's direction in the world."""
 
-SERIES = 1e-3
+SERIES_BELOW = 1e-3
 """Sine below which a quotient that tends to 0/0 is taken from its series, whose next term is 1e-12."""
 
 
 def _frame(R: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The measured direction (n, 3), axes across it (n, 2, 3); predicted gravity along those (n, 2) and along it (n,)."""
-    measured = observed / np.linalg.norm(observed, axis=1, keepdims=True)
-    across = np.stack(transverse(measured), axis=1)
+    direction = observed / np.linalg.norm(observed, axis=1, keepdims=True)
+    across = np.stack(transverse(direction), axis=1)
     predicted = np.swapaxes(R, 1, 2) @ DOWN
-    return measured, across, np.einsum("nij,nj->ni", across, predicted), np.sum(measured * predicted, axis=1)
+    return direction, across, np.einsum("nij,nj->ni", across, predicted), np.sum(direction * predicted, axis=1)
 
 
 def _angles(across: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -41,8 +41,8 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return -_angles(across, along)[0]
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    r"""The same with its derivatives.
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    r"""The residual with its derivatives.
 
     With sines s along the axes E, cosine c and f = angle / \|s\|, the split angle is f s, and
 
@@ -50,14 +50,14 @@ def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
 
     A twist w of the target turns gravity as it sees it by R' (g x w).
     """
-    measured, axes, across, along = _frame(R, observed)
+    direction, axes, across, along = _frame(R, observed)
     split, per_sine = _angles(across, along)
     turned = np.swapaxes(R, 1, 2) @ skew(DOWN[None])  # R' [g]
     ds = axes @ turned
-    dc = np.einsum("ni,nij->nj", measured, turned)
+    dc = np.einsum("ni,nij->nj", direction, turned)
     sine = np.linalg.norm(across, axis=1)
-    near = (sine < SERIES) & (along > 0.0)
-    safe = np.where(sine < SERIES, 1.0, sine)
+    near = (sine < SERIES_BELOW) & (along > 0.0)
+    safe = np.where(sine < SERIES_BELOW, 1.0, sine)
     exact = (along * safe - np.arctan2(safe, along)) / safe**3
     factor = np.where(near, -2.0 / 3.0 - 0.2 * sine**2, exact)
     inner = factor[:, None] * np.einsum("ni,nij->nj", across, ds) - dc
@@ -73,7 +73,7 @@ INCLINED = Kind(
     read=("gx", "gy", "gz"),
     roles=(),
     residual=_residual,
-    derivatives=_seen,
+    derivatives=_derivatives,
     located=None,
     turns=True,
     level=True,

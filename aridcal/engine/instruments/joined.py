@@ -21,15 +21,15 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return residuals(R, p, grasp[:, T], rotation_of(grasp))
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives; a grasp's change is in its own axes, so that it turns behind the residual's rotation."""
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives; a grasp's change is in its own axes, so that it turns behind the residual's rotation."""
     residual = _residual(R, p, observed, states)
-    held = rotation_of(states[0])
+    rotation = rotation_of(states[0])
     by_twist, by_grasp = np.zeros((2, len(p), 6, 6))
     by_twist[:, :3, :3] = np.eye(3)
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
-    by_grasp[:, :3, :3] = -held
-    by_grasp[:, 3:, 3:] = -turned_back(-residual[:, 3:]) @ held
+    by_grasp[:, :3, :3] = -rotation
+    by_grasp[:, 3:, 3:] = -turned_back(-residual[:, 3:]) @ rotation
     return Seen(residual, by_twist, (by_grasp,))
 
 
@@ -47,7 +47,7 @@ JOINED = Kind(
     read=(),
     roles=(GRASP,),
     residual=_residual,
-    derivatives=_seen,
+    derivatives=_derivatives,
     located=_located,
     turns=True,
     condition=True,

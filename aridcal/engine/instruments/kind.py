@@ -50,13 +50,13 @@ class Role:
 
     def moved_by(self, where: str, component: str) -> tuple[int, ...]:
         """Numbers of the components that a coefficient at one of these things moves."""
-        own = self.places.get(f"{where}.{component}", (component,))
-        return tuple(self.components.index(name) for name in own)
+        names = self.places.get(f"{where}.{component}", (component,))
+        return tuple(self.components.index(name) for name in names)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """A kind asked about n rows of m numbers.
+    """Residuals of n rows of m numbers, and their derivatives.
 
     Attributes:
         residual: Measured minus predicted, shape (n, m).
@@ -74,14 +74,14 @@ Residual = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
 """Rotations (n, 3, 3) and positions (n, 3) of the target in the world frame, what was read (n, W), states: to (n, m)."""
 
 Derivatives = Callable[[np.ndarray, np.ndarray, np.ndarray, States], Seen]
-"""The same, to a :class:`Seen`."""
+"""From the arguments of a :data:`Residual` to a :class:`Seen`."""
 
 Placed = Callable[[np.ndarray, States], tuple[np.ndarray, np.ndarray | None]]
-"""What was read (n, W) and states: to positions (n, 3) of the target in the world, and rotations (n, 3, 3) if rows tell them."""
+"""From the numbers of rows (n, W) and states to positions (n, 3) of the target in the world, and rotations (n, 3, 3) or None."""
 
 Located = Callable[[np.ndarray, np.ndarray, np.ndarray, States], np.ndarray]
-"""The same for the rows of one thing of the last role, whose own state is not looked at: to its state, shape (P,). Closed
-form or linear; NaN where these rows cannot tell."""
+"""From the arguments of a :data:`Residual`, for the rows of one thing of the last role, to its state, shape (P,). Its own state
+in the arguments is not looked at. Closed form or linear; NaN where these rows cannot tell."""
 
 
 @dataclass(frozen=True)
@@ -92,15 +92,15 @@ class Kind:
         name: As in campaigns.
         words: What is measured, in words.
         channels: What a row reads.
-        read: Names of the numbers of which it is predicted what they are, columns of the table, W of them.
+        read: Names of the numbers that are read and predicted, columns of the table, W of them.
         roles: What its rows refer to.
         residual: Measured minus predicted.
-        derivatives: The same with its derivatives.
+        derivatives: The residual with its derivatives.
         located: Where a thing of the last role is, from the target's poses; None for a kind without roles.
         turns: False if the target's own rotation does not matter: it is a point.
         condition: True where a row says that a condition holds (the target is in the socket, on the plate): what was observed
             are then the readings of the joints.
-        placed: Where a row alone has the target in the world; None for kinds that do not tell it.
+        placed: The target's place in the world from a row alone; None for kinds whose rows do not tell it.
         bare: True where the target is the end of the row's path itself, a link's own frame: nothing of it is unknown.
         images: True where rows are marks in images, many of which show several: the cameras see the tip, or are on it.
         level: True where a row tells the vertical alone, and no length: a sensor has a frame of its own on the tip.
@@ -178,7 +178,7 @@ class Kind:
         return not (self.condition or self.images or self.of_head)
 
     def numbers(self, observed: np.ndarray) -> np.ndarray:
-        """What its rows read, shape (n, W), of numbers that are as many as the widest kind reads."""
+        """The numbers that its rows read, shape (n, W), from columns for as many as the widest kind of a data set reads."""
         return observed[:, : len(self.read)] if self.missing is None else observed
 
 

@@ -14,26 +14,26 @@ PLACE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 # Parts of a camera's state; a board's is its first twelve numbers.
 T, R9, LENS, ON_TIP = slice(0, 3), slice(3, 12), slice(12, 21), 21
 
-NEAR = 1e-6
+LEAST_DEPTH = 1e-6
 """[m]: what is nearer to the image plane than this is not in front of the camera."""
 
-UNSEEN = 1e4
+UNSEEN_RESIDUAL = 1e4
 """[px]: residual of what the model puts behind the camera, and which cannot be seen there: further off than any image is wide,
 wherever it moves, so that no step of a fit crosses the lens."""
 
 NEAREST, FARTHEST = 0.1, 3.0
 """[m] from the camera: markers nearer or farther are not sharp."""
 
-LEAN = 0.35
+LEAST_COSINE = 0.35
 """Cosine of the angle between a board's normal and the ray to the camera below which its print is not read: 70 degrees."""
 
 BORDER = 5.0
 """[px] along the edges in which no marker is read: noise must not push it out."""
 
-PARALLAX = 1e-3
+LEAST_PARALLAX = 1e-3
 """[rad]: rays from which a marker's place is told meet at larger angles than this, some pixels."""
 
-UNBENT = 1e-6
+MOST_LENS_MISFIT = 1e-6
 """Undistorted points whose distorted ones are further than this from what was seen: the lens model does not reach there."""
 
 
@@ -56,37 +56,37 @@ def turns(angles: np.ndarray) -> np.ndarray:
 
 def _place_moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     """T C(x, y, z, roll, pitch, yaw): in its own axes, as the frames of the arm; other numbers of the state stay."""
-    R, moved = rotation_of(state), state.copy()
-    moved[:, T] += _times(R, change[:, :3])
-    moved[:, R9] = (R @ turns(change[:, 3:6])).reshape(-1, 9)
-    return moved
+    R, new = rotation_of(state), state.copy()
+    new[:, T] += _times(R, change[:, :3])
+    new[:, R9] = (R @ turns(change[:, 3:6])).reshape(-1, 9)
+    return new
 
 
 def _place_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     """C' for the translations; for the angles the axes about which they turn, as the moved frame sees them."""
     C = turns(change[:, 3:6])
-    made = np.zeros((len(state), 6, 6))
-    made[:, :3, :3] = np.swapaxes(C, 1, 2)
+    slope = np.zeros((len(state), 6, 6))
+    slope[:, :3, :3] = np.swapaxes(C, 1, 2)
     (cr, cp, _), (sr, sp, _) = np.cos(change[:, 3:6]).T, np.sin(change[:, 3:6]).T
-    made[:, 3, 3] = 1.0
-    made[:, 4, 4], made[:, 5, 4] = cr, -sr  # Rx' y
-    made[:, 3, 5], made[:, 4, 5], made[:, 5, 5] = -sp, sr * cp, cr * cp  # Rx' Ry' z
-    return made
+    slope[:, 3, 3] = 1.0
+    slope[:, 4, 4], slope[:, 5, 4] = cr, -sr  # Rx' y
+    slope[:, 3, 5], slope[:, 4, 5], slope[:, 5, 5] = -sp, sr * cp, cr * cp  # Rx' Ry' z
+    return slope
 
 
 def _camera_moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
     """The place as a frame, intrinsics by addition."""
-    moved = _place_moved(state, change)
-    moved[:, LENS] += change[:, 6:]
-    return moved
+    new = _place_moved(state, change)
+    new[:, LENS] += change[:, 6:]
+    return new
 
 
 def _camera_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """That of the place; intrinsics follow as they are."""
-    made = np.zeros((len(state), 15, 15))
-    made[:, :6, :6] = _place_slope(state, change)
-    made[:, 6:, 6:] = np.eye(9)
-    return made
+    """The slope of the place; intrinsics follow as they are."""
+    slope = np.zeros((len(state), 15, 15))
+    slope[:, :6, :6] = _place_slope(state, change)
+    slope[:, 6:, 6:] = np.eye(9)
+    return slope
 
 
 CAMERA = Role(
@@ -140,7 +140,7 @@ def ends_of_sight(R: np.ndarray, p: np.ndarray, states: States) -> tuple[np.ndar
     return np.where(on_tip, p + _times(R, eye), eye), np.where(on_tip, Y, p + _times(R, Y))
 
 
-def _in_front(X: np.ndarray, near: float = NEAR, far: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+def _in_front(X: np.ndarray, near: float = LEAST_DEPTH, far: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
     """Which points lie in front of the camera, between two distances, (n,); and all points, others put on the axis instead."""
     front = (X[:, 2] > near) & (X[:, 2] < far)
     return front, np.where(front[:, None], X, [0.0, 0.0, 1.0])
@@ -149,16 +149,16 @@ def _in_front(X: np.ndarray, near: float = NEAR, far: float = np.inf) -> tuple[n
 def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted pixels."""
     X, _, _, _ = in_camera(R, p, states)
-    front, seen = _in_front(X)
-    return np.where(front[:, None], observed - project(seen, states[0][:, LENS]), UNSEEN)
+    front, points = _in_front(X)
+    return np.where(front[:, None], observed - project(points, states[0][:, LENS]), UNSEEN_RESIDUAL)
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives; a row behind the camera has none."""
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives; a row behind the camera has none."""
     camera, board, marker = states
     X, carried, Y, on_tip = in_camera(R, p, states)
-    front, seen = _in_front(X)
-    pixels, by_X, by_lens = project_jacobian(seen, camera[:, LENS])
+    front, points = _in_front(X)
+    pixels, by_X, by_lens = project_jacobian(points, camera[:, LENS])
     by_X, by_lens = by_X * front[:, None, None], by_lens * front[:, None, None]
     by_Y = by_X @ carried
     by_marker = by_Y @ rotation_of(board)
@@ -166,7 +166,7 @@ def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
     by_camera = np.concatenate([-by_X, np.cross(by_X, X[:, None]), by_lens], axis=2)
     by_board = np.concatenate([by_marker, np.cross(marker[:, None], by_marker)], axis=2)
     return Seen(
-        np.where(front[:, None], observed - pixels, UNSEEN),
+        np.where(front[:, None], observed - pixels, UNSEEN_RESIDUAL),
         _by_twist(R, p, by_Y, by_X, states, Y, on_tip),
         (by_camera, by_board, by_marker),
     )
@@ -180,9 +180,9 @@ def _by_twist(
     What the tip carries moves by v + w x RY in the world; what stands in the world moves by -(v + w x (Y - p)) for the tip.
     """
     in_world = by_X @ np.swapaxes(rotation_of(states[0]), 1, 2)
-    own = on_tip[:, None, None]
-    linear = np.where(own, -by_Y, in_world)
-    lever = np.where(own[:, :, 0], Y - p, _times(R, Y))
+    tip = on_tip[:, None, None]
+    linear = np.where(tip, -by_Y, in_world)
+    lever = np.where(tip[:, :, 0], Y - p, _times(R, Y))
     return np.concatenate([linear, np.cross(lever[:, None], linear)], axis=2)
 
 
@@ -218,7 +218,7 @@ def faces(R: np.ndarray, p: np.ndarray, camera: np.ndarray, board: np.ndarray) -
     on_axis = np.array([[0.0, 0.0, 1.0]])
     ends = [in_camera(R, p, (camera, board, np.repeat(at, len(p), axis=0)))[0] for at in (0 * on_axis, on_axis)]
     normal = ends[1] - ends[0]
-    return np.asarray(-np.sum(normal * ends[0], axis=1) > LEAN * np.linalg.norm(ends[0], axis=1))
+    return np.asarray(-np.sum(normal * ends[0], axis=1) > LEAST_COSINE * np.linalg.norm(ends[0], axis=1))
 
 
 def normalised(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
@@ -227,7 +227,7 @@ def normalised(pixels: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
         xy = rays(pixels, intrinsics)
         bent = distort(xy, intrinsics)[0]
         off = np.abs(bent - (pixels - intrinsics[:, 2:4]) / intrinsics[:, :2])
-    return np.where((off < UNBENT).all(axis=1, keepdims=True), xy, np.nan)
+    return np.where((off < MOST_LENS_MISFIT).all(axis=1, keepdims=True), xy, np.nan)
 
 
 def across_rays(xy: np.ndarray, matrices: np.ndarray) -> np.ndarray:
@@ -251,20 +251,20 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     at_origin = (camera[some], board[some], np.zeros((int(some.sum()), 3)))
     b, carried, _, _ = in_camera(R[some], p[some], at_origin)
     A = across_rays(xy[some], carried @ rotation_of(board[some]))
-    rest = -across_rays(xy[some], b[:, :, None])[:, :, 0]
-    if not (np.isfinite(A).all() and np.isfinite(rest).all()):
+    right = -across_rays(xy[some], b[:, :, None])[:, :, 0]
+    if not (np.isfinite(A).all() and np.isfinite(right).all()):
         return unknown
     weight = np.ones(len(A))
     for _ in range(2):
         U, singular, Vt = np.linalg.svd((A * weight[:, None, None]).reshape(-1, 3), full_matrices=False)
-        if singular[-1] < PARALLAX * singular[0]:
+        if singular[-1] < LEAST_PARALLAX * singular[0]:
             return unknown
-        found = Vt.T @ ((U.T @ (rest * weight[:, None]).ravel()) / singular)
-        depth = b[:, 2] + (carried @ rotation_of(board[some]))[:, 2] @ found
-        if not (depth > NEAR).all():
+        place = Vt.T @ ((U.T @ (right * weight[:, None]).ravel()) / singular)
+        depth = b[:, 2] + (carried @ rotation_of(board[some]))[:, 2] @ place
+        if not (depth > LEAST_DEPTH).all():
             return unknown
         weight = depth.min() / depth
-    return found
+    return place
 
 
 PIXELS = Kind(
@@ -274,7 +274,7 @@ PIXELS = Kind(
     read=("u", "v"),
     roles=(CAMERA, BOARD, MARKER),
     residual=_residual,
-    derivatives=_seen,
+    derivatives=_derivatives,
     located=_located,
     bare=True,
     turns=True,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.engine.instruments.channels import LENGTH
-from aridcal.engine.instruments.distance import PLAIN
+from aridcal.engine.instruments.distance import LEAST_SINGULAR
 from aridcal.engine.instruments.kind import Kind, Role, Seen, States, points_twist
 from aridcal.engine.robot.kinematics import along_plane
 
 HALVINGS = 100
-"""Of the interval in which a plane's multiplier lies: more than doubles resolve."""
+"""Halvings of the interval in which a plane's multiplier lies: more than doubles resolve."""
 
 
 def _moved(state: np.ndarray, change: np.ndarray) -> np.ndarray:
@@ -34,21 +34,23 @@ def _slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
         + \left( \cos|t| - \frac{\sin|t|}{|t|} \right) \frac{t \cdot dt}{|t|^2} t \times n
     """
     normal = state[:, :3]
-    there = _moved(state, change)[:, :3]
+    after = _moved(state, change)[:, :3]
     e1, e2 = along_plane(normal)
     axis = change[:, :1] * e1 + change[:, 1:2] * e2
     angle = np.linalg.norm(axis, axis=1, keepdims=True)
     sinc = np.sinc(angle / np.pi)
     safe = np.where(angle > 0.0, angle, 1.0)
     along = np.cross(axis, normal) / safe
-    made = np.zeros((len(state), 3, 3))
-    made[:, 2, 2] = 1.0
-    for k, own in enumerate((e1, e2)):
+    slope = np.zeros((len(state), 3, 3))
+    slope[:, 2, 2] = 1.0
+    for k, tilt_axis in enumerate((e1, e2)):
         part = change[:, k : k + 1] / safe  # t . dt / |t| for a unit step of this tilt
-        by_tilt = -np.sin(angle) * part * normal + sinc * np.cross(own, normal) + (np.cos(angle) - sinc) * part * along
-        for row, e in enumerate(along_plane(there)):
-            made[:, row, k] = np.sum(np.cross(e, there) * by_tilt, axis=1)
-    return made
+        by_tilt = (
+            -np.sin(angle) * part * normal + sinc * np.cross(tilt_axis, normal) + (np.cos(angle) - sinc) * part * along
+        )
+        for row, e in enumerate(along_plane(after)):
+            slope[:, row, k] = np.sum(np.cross(e, after) * by_tilt, axis=1)
+    return slope
 
 
 PLANE = Role(
@@ -70,8 +72,8 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(observed - height[:, None])
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives: a tilt about e turns n by e x n."""
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives: a tilt about e turns n by e x n."""
     normal = states[0][:, :3]
     turned = [np.sum(np.cross(e, normal) * p, axis=1) for e in along_plane(normal)]
     by_plane = np.stack([*turned, np.full(len(p), -1.0)], axis=1)
@@ -91,7 +93,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
         return unknown
     middle, level = p.mean(axis=0), float(observed.mean())
     _, spread, Vt = np.linalg.svd(np.vstack([p - middle, np.zeros((1, 3))]), full_matrices=False)
-    if spread[1] <= PLAIN * max(spread[0], 1e-12):
+    if spread[1] <= LEAST_SINGULAR * max(spread[0], 1e-12):
         return unknown
     pull = Vt @ ((p - middle).T @ (observed[:, 0] - level))
     stiff = spread**2 - spread[2] ** 2
@@ -101,11 +103,11 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
         long = np.sum((pull / np.maximum(stiff + half, 1e-300)) ** 2) > 1.0
         low, high = (half, high) if long else (low, half)
     n = pull / np.maximum(stiff + high, 1e-300)
-    flat = spread[2] <= PLAIN * spread[0]
-    if flat and np.linalg.norm(n[:2]) > PLAIN:
+    flat = spread[2] <= LEAST_SINGULAR * spread[0]
+    if flat and np.linalg.norm(n[:2]) > LEAST_SINGULAR:
         return unknown
-    rest = np.sqrt(max(1.0 - n[0] ** 2 - n[1] ** 2, 0.0))
-    normal = Vt.T @ np.array([n[0], n[1], np.copysign(rest, n[2])])
+    third = np.sqrt(max(1.0 - n[0] ** 2 - n[1] ** 2, 0.0))
+    normal = Vt.T @ np.array([n[0], n[1], np.copysign(third, n[2])])
     if not np.any(observed) and normal[np.abs(normal).argmax()] < 0.0:
         normal = -normal
     normal /= np.linalg.norm(normal)
@@ -119,7 +121,7 @@ PLANAR = Kind(
     ("reading",),
     (PLANE,),
     _residual,
-    _seen,
+    _derivatives,
     _located,
     condition=True,
 )

@@ -15,10 +15,10 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.asarray(states[0] - p)
 
 
-def _seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives."""
-    own = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-    return Seen(states[0] - p, points_twist(own), (-own,))
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual with its derivatives."""
+    identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+    return Seen(states[0] - p, points_twist(identity), (-identity,))
 
 
 def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -33,7 +33,7 @@ TOUCHED = Kind(
     (),
     (POINT,),
     _residual,
-    _seen,
+    _derivatives,
     _located,
     condition=True,
 )

@@ -12,7 +12,7 @@ from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, poi
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-SMALL = 1e-2
+SERIES_BELOW = 1e-2
 """[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
 
 
@@ -80,10 +80,10 @@ def turned_back(vector: np.ndarray) -> np.ndarray:
     """
     angle = np.linalg.norm(vector, axis=1)
     square = angle**2
-    safe = np.where(angle < SMALL, 1.0, angle)
+    safe = np.where(angle < SERIES_BELOW, 1.0, angle)
     # (1 + cos) / sin is 1 / tan(angle / 2), also where both vanish
     exact = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
-    factor = np.where(angle < SMALL, 1.0 / 12.0 + square / 720.0, exact)
+    factor = np.where(angle < SERIES_BELOW, 1.0 / 12.0 + square / 720.0, exact)
     x = skew(vector)
     return np.eye(3) + 0.5 * x + factor[:, None, None] * (x @ x)
 
@@ -98,12 +98,12 @@ def nearest_rotation(H: np.ndarray) -> np.ndarray:
 
 def skew(vectors: np.ndarray) -> np.ndarray:
     """Matrices that multiply like cross products, shape (n, 3) to (n, 3, 3)."""
-    made = np.zeros((len(vectors), 3, 3))
+    matrices = np.zeros((len(vectors), 3, 3))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        made[:, j, i] = vectors[:, k]
-        made[:, i, j] = -vectors[:, k]
-    return made
+        matrices[:, j, i] = vectors[:, k]
+        matrices[:, i, j] = -vectors[:, k]
+    return matrices
 
 
 TRACKER = Role(
@@ -116,17 +116,17 @@ TRACKER = Role(
     identified=(),
     many=False,
 )
-"""What measures positions from the world's origin: one for each block, named after it, and faultless as far as is known."""
+"""What measures positions from the world's origin: one for each block, named after it, without faults as far as is known."""
 
 
 def shown(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
-    """What a tracker shows for places p: p (1 + s + k |p|), its scale off by s and its ranges by k |p|^2; (n, 3)."""
+    """Positions that a tracker shows for places p: p (1 + s + k |p|), its scale off by s, its ranges by k |p|^2; (n, 3)."""
     away = np.linalg.norm(p, axis=1)
     return np.asarray(p * (1.0 + tracker[:, 0] + tracker[:, 1] * away)[:, None])
 
 
-def _shown_seen(p: np.ndarray, tracker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How that changes with the place, shape (n, 3, 3), and with the tracker, (n, 3, 2)."""
+def _shown_derivatives(p: np.ndarray, tracker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How what a tracker shows changes with the place, shape (n, 3, 3), and with the tracker, (n, 3, 2)."""
     away = np.linalg.norm(p, axis=1)
     stretch = 1.0 + tracker[:, 0] + tracker[:, 1] * away
     along = p[:, :, None] * p[:, None, :] / np.where(away > 0.0, away, 1.0)[:, None, None]
@@ -140,9 +140,9 @@ def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return residuals(R, shown(p, tracker), observed, None)
 
 
-def _position_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives."""
-    by_place, by_tracker = _shown_seen(p, states[0])
+def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual of positions with its derivatives."""
+    by_place, by_tracker = _shown_derivatives(p, states[0])
     return Seen(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
 
 
@@ -152,10 +152,10 @@ def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
     return residuals(R, shown(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
 
 
-def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
-    """The same with its derivatives."""
+def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+    """The residual of poses with its derivatives."""
     residual = _pose(R, p, observed, states)
-    by_place, by_tracker = _shown_seen(p, states[0])
+    by_place, by_tracker = _shown_derivatives(p, states[0])
     by_twist = np.zeros((len(p), 6, 6))
     by_twist[:, :3, :3] = by_place
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
@@ -163,7 +163,7 @@ def _pose_seen(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: State
 
 
 def pose_numbers(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
-    """What rows of positions (N, 3) and of rotations (N, 3, 3), if there are any, read: shape (N, 3 or 12)."""
+    """Numbers of rows of positions (N, 3), and of rotations (N, 3, 3) if there are any: shape (N, 3 or 12)."""
     return position if rotation is None else np.hstack([position, rotation.reshape(-1, 9)])
 
 
@@ -182,7 +182,7 @@ POSITION = Kind(
     XYZ,
     (TRACKER,),
     _position,
-    _position_seen,
+    _position_derivatives,
     None,
     placed=_placed,
 )
@@ -194,7 +194,7 @@ POSE = Kind(
     read=(*XYZ, "r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"),
     roles=(TRACKER,),
     residual=_pose,
-    derivatives=_pose_seen,
+    derivatives=_pose_derivatives,
     located=None,
     turns=True,
     placed=_placed,

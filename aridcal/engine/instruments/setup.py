@@ -13,7 +13,7 @@ from aridcal.engine.instruments.kind import Kind, Role
 from aridcal.engine.instruments.kinds import KINDS
 
 TIP, WORLD = "tip", "world"
-"""What things are on where no link is named; also the label of a target that is the tip itself, as cameras see it."""
+"""Carriers of things for which no link is named; also the label of a target that is the tip itself, as cameras see it."""
 
 
 @dataclass(frozen=True)
@@ -49,18 +49,18 @@ class Things:
 
     @property
     def held(self) -> dict[str, tuple[str, ...]]:
-        """What is taken as stated of each thing, by its place of corrections."""
+        """Components of each thing that are taken as stated, by its place of corrections."""
         if not self.role.places:
             names = self.role.components
             return {
-                name: tuple(c for c, free in zip(names, own, strict=True) if not free)
-                for name, own in zip(self.names, self.free, strict=True)
+                name: tuple(c for c, free in zip(names, row, strict=True) if not free)
+                for name, row in zip(self.names, self.free, strict=True)
             }
-        found: dict[str, tuple[str, ...]] = {}
+        exact: dict[str, tuple[str, ...]] = {}
         for place in self.role.places:
             where, _, component = place.rpartition(".")
-            found[where] = (*found.get(where, ()), component)
-        return found
+            exact[where] = (*exact.get(where, ()), component)
+        return exact
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,10 @@ class Instruments:
 
     @property
     def held(self) -> dict[tuple[str, str], tuple[str, ...]]:
-        """What is taken as stated of each thing, by the name of its role and its place of corrections."""
-        return {(role, name): held for role, things in self.things.items() for name, held in things.held.items()}
+        """Components of each thing that are taken as stated, by the name of its role and its place of corrections."""
+        return {
+            (role, name): components for role, things in self.things.items() for name, components in things.held.items()
+        }
 
     def unit(self, name: str, component: str) -> str:
         """Unit of what a coefficient at a thing moves."""

@@ -14,37 +14,37 @@ from aridcal.engine.instruments.descent import Place, View, descend, located, pl
 from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
 from aridcal.engine.instruments.pose import nearest_rotation
 
-GRID = 480
+TRIED_ROTATIONS = 480
 """Rotations tried: neighbours are about 30 degrees apart, well inside what the sweeps reach over."""
 
-SWEEPS = 3
-"""Of each rotation's improvement in turn with the rest, before and after the better ones are chosen."""
+SWEEPS_OF_A_ROTATION = 3
+"""Sweeps that improve each rotation in turn with its unknowns x, before and after the better rotations are chosen."""
 
-BETTER = 48
-"""Of the rotations that are improved further."""
+IMPROVED_ROTATIONS = 48
+"""Rotations that are improved further, the best ones."""
 
-ROWS = 120
+COMPARED_ROWS = 120
 """Rows of a pair of camera and board on which rotations are compared."""
 
-MARKERS = 10
-"""Unknown markers that are looked at meanwhile."""
+MOST_UNKNOWN_MARKERS = 10
+"""Unknown markers on which rotations are compared, at the most."""
 
-FINALISTS = 10
+DESCENDED_ROTATIONS = 10
 """Rotations from which least squares are tried."""
 
-ONE = 2.98
+SAME_ROTATION_TRACE = 2.98
 """Trace of the turn from one rotation to another, eight degrees, up to which the two are one."""
 
-FEW, MORE, LEFT = 20, 60, 4
-"""Steps of it; those that follow for the best, and how many those are: some valleys are long."""
+FIRST_STEPS, FURTHER_STEPS, FURTHER_PLACES = 20, 60, 4
+"""Steps of least squares from each; further steps for the best, and how many those are: some valleys are long."""
 
-ENOUGH_KNOWN = 12
+LEAST_KNOWN_MARKERS = 12
 """Rows with known markers from which a camera is placed by those alone."""
 
 RIDGE = 1e-9
 """Share of the equations' trace that keeps them solvable where these rows leave something open."""
 
-FLAT = 1e-3
+LEAST_SPREAD = 1e-3
 """Spread of a board's markers across a plane or line, as a share of that along it, which says nothing of its tilt."""
 
 
@@ -77,52 +77,52 @@ Settled = dict[str, set[int]]
 """Which cameras and boards have a place already: numbers, by role."""
 
 
-def sighted(view: View, target: np.ndarray, known: dict[str, np.ndarray], steps: int) -> list[Place]:
-    """Places of everything that pixels refer to, from hints first; what is known and not free stays as it is.
+def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], steps: int) -> list[Place]:
+    """Places of everything that pixels refer to, from hints first; components that are known and not free stay as they are.
 
-    Pairs of camera and board are taken in turn, those first of which the most is known: what one has located helps the next.
+    Pairs of camera and board are taken in turn, those first of which the most is known: what one pair has located helps the next.
 
     Args:
         view: Rows of pixels.
         target: T_tip_target, which pixels do not ask for, shape (4, 4).
-        known: States beforehand, by role.
+        beforehand: States beforehand, by role.
         steps: Of least squares in the end.
     """
-    held = replace(view, free={name: mask.copy() for name, mask in view.free.items()})
-    held.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
-    states, settled = _begun(held, known)
+    fixed_lenses = replace(view, free={name: mask.copy() for name, mask in view.free.items()})
+    fixed_lenses.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
+    states, settled = _beginning(fixed_lenses, beforehand)
     pairs = [(int(c), int(b)) for c, b in np.unique(view.refers[:, :2], axis=0)]
-    found = [placed(held, target, states)]
+    candidates = [placed(fixed_lenses, target, states)]
     rows = {pair: np.flatnonzero((view.refers[:, :2] == pair).all(axis=1)) for pair in pairs}
     while pairs:
         camera, board = pair = max(
             pairs, key=lambda pair: ((pair[0] in settled["camera"]) + (pair[1] in settled["board"]), len(rows[pair]))
         )
         pairs.remove(pair)
-        found = _pair(held, found[0], settled, pair, rows[pair])
+        candidates = _pair(fixed_lenses, candidates[0], settled, pair, rows[pair])
         settled["camera"].add(camera)
         settled["board"].add(board)
-    hint = placed(held, target, known)
-    tried = [hint, *found] if view.complete(known).all() else found
-    return [descend(held, place, steps) for place in tried]
+    hint = placed(fixed_lenses, target, beforehand)
+    starts = [hint, *candidates] if view.complete(beforehand).all() else candidates
+    return [descend(fixed_lenses, place, steps) for place in starts]
 
 
-def _begun(view: View, known: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Settled]:
+def _beginning(view: View, beforehand: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Settled]:
     """States to begin with, and what of them is settled.
 
     A board without a place, none of whose markers has one either, is put in the middle of its carrier: they are told from
     there.
     """
-    states = {name: state.copy() for name, state in known.items()}
-    whole = {name: np.isfinite(state).all(axis=1) for name, state in known.items()}
-    boards = whole["board"] & ~view.free["board"].any(axis=1)
+    states = {name: state.copy() for name, state in beforehand.items()}
+    complete = {name: np.isfinite(state).all(axis=1) for name, state in beforehand.items()}
+    boards = complete["board"] & ~view.free["board"].any(axis=1)
     for b in np.unique(view.refers[:, 1]):
         markers = np.unique(view.refers[view.refers[:, 1] == b, 2])
-        if not whole["marker"][markers].any():
+        if not complete["marker"][markers].any():
             boards[b] = True
-            if not whole["board"][b]:
+            if not complete["board"][b]:
                 states["board"][b] = np.concatenate([np.zeros(3), np.eye(3).ravel()])
-    cameras = whole["camera"] & ~view.free["camera"].any(axis=1)
+    cameras = complete["camera"] & ~view.free["camera"].any(axis=1)
     return states, {"camera": set(np.flatnonzero(cameras).tolist()), "board": set(np.flatnonzero(boards).tolist())}
 
 
@@ -131,52 +131,55 @@ def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], row
     camera, board = pair
     if not np.isfinite(place.states["camera"][camera, LENS]).all():
         return [place]
-    found = [place]
+    candidates = [place]
     if not (camera in settled["camera"] and board in settled["board"]):
         sight = _sight(view, place.states, settled, pair, rows)
         if sight is None:
             return [place]
-        own = view.select(sight.rows)
-        there = [
-            placed(own, place.target, _stated(view, place.states, sight, pair, turn, x))
+        part = view.select(sight.rows)
+        trials = [
+            placed(part, place.target, _with_solution(view, place.states, sight, pair, turn, x))
             for turn, x in _compared(sight, _turns(place.states["camera"][camera], camera in settled["camera"]))
         ]
-        kept = replace(own, free=_only(own.free, pair, settled))
-        there = [descend(kept, one, FEW) for one in there]
-        there = [descend(kept, one, MORE) for one in sorted(there, key=lambda one: one.cost)[:LEFT]]
-        found = sorted(there, key=lambda one: one.cost)[:2]
-    own = view.select(rows)
-    told = []
-    for one in found:
-        lacking = np.flatnonzero(~np.isfinite(one.states["marker"]).all(axis=1))
-        states = located(own, one.target, one.states, lacking, place.states["marker"])
-        told.append(placed(view, one.target, states))
-    return told
+        limited = replace(part, free=_without_settled(part.free, pair, settled))
+        trials = [descend(limited, trial, FIRST_STEPS) for trial in trials]
+        trials = [
+            descend(limited, trial, FURTHER_STEPS)
+            for trial in sorted(trials, key=lambda trial: trial.cost)[:FURTHER_PLACES]
+        ]
+        candidates = sorted(trials, key=lambda trial: trial.cost)[:2]
+    part = view.select(rows)
+    located_places = []
+    for trial in candidates:
+        lacking = np.flatnonzero(~np.isfinite(trial.states["marker"]).all(axis=1))
+        states = located(part, trial.target, trial.states, lacking, place.states["marker"])
+        located_places.append(placed(view, trial.target, states))
+    return located_places
 
 
-def _only(free: dict[str, np.ndarray], pair: tuple[int, int], settled: Settled) -> dict[str, np.ndarray]:
-    """Masks that let nothing move of what is settled."""
-    made = {name: mask.copy() for name, mask in free.items()}
+def _without_settled(free: dict[str, np.ndarray], pair: tuple[int, int], settled: Settled) -> dict[str, np.ndarray]:
+    """Masks of the free components, without those of a camera or board that is settled."""
+    limited = {name: mask.copy() for name, mask in free.items()}
     for name, number in zip(("camera", "board"), pair, strict=True):
         if number in settled[name]:
-            made[name][number] = False
-    return made
+            limited[name][number] = False
+    return limited
 
 
 def _turns(camera: np.ndarray, settled: bool) -> np.ndarray:
     """Rotations of a camera to try, shape (G, 3, 3): its own if it is settled, else its own first if it has one."""
-    own = camera[R9].reshape(1, 3, 3)
+    rotation = camera[R9].reshape(1, 3, 3)
     if settled:
-        return own
-    return np.concatenate([own, grid()]) if np.isfinite(own).all() else grid()
+        return rotation
+    return np.concatenate([rotation, grid()]) if np.isfinite(rotation).all() else grid()
 
 
 def grid() -> np.ndarray:
     """Rotations spread evenly, shape (GRID, 3, 3): a super-Fibonacci spiral (Alexa 2022, CVPR, 8291)."""
     from scipy.spatial.transform import Rotation  # slow to load, and a campaign is read without it
 
-    s = np.arange(GRID) + 0.5
-    r, R = np.sqrt(s / GRID), np.sqrt(1.0 - s / GRID)
+    s = np.arange(TRIED_ROTATIONS) + 0.5
+    r, R = np.sqrt(s / TRIED_ROTATIONS), np.sqrt(1.0 - s / TRIED_ROTATIONS)
     alpha, beta = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204288118041
     quaternions = np.column_stack([r * np.sin(alpha), r * np.cos(alpha), R * np.sin(beta), R * np.cos(beta)])
     return np.asarray(Rotation.from_quat(quaternions).as_matrix())
@@ -190,23 +193,23 @@ def _sight(
     xy = normalised(view.observed[rows], np.broadcast_to(camera[LENS], (len(rows), 9)))
     sharp = np.isfinite(xy).all(axis=1)
     labels = view.refers[rows, 2]
-    told = np.isfinite(states["marker"]).all(axis=1)[labels]
+    placed_markers = np.isfinite(states["marker"]).all(axis=1)[labels]
     board_open = pair[1] not in settled["board"]
-    chosen = sharp & told
-    if not board_open and chosen.sum() < ENOUGH_KNOWN:
-        count = np.bincount(labels[sharp & ~told], minlength=len(states["marker"]))
-        chosen = sharp & (told | np.isin(labels, np.argsort(-count, kind="stable")[:MARKERS]))
+    chosen = sharp & placed_markers
+    if not board_open and chosen.sum() < LEAST_KNOWN_MARKERS:
+        count = np.bincount(labels[sharp & ~placed_markers], minlength=len(states["marker"]))
+        chosen = sharp & (placed_markers | np.isin(labels, np.argsort(-count, kind="stable")[:MOST_UNKNOWN_MARKERS]))
     some = np.flatnonzero(chosen)
-    some = some[spread(len(some), ROWS)]
+    some = some[spread(len(some), COMPARED_ROWS)]
     if len(some) < 3:
         return None
-    rows, xy, labels, told = rows[some], xy[some], labels[some], told[some]
+    rows, xy, labels, placed_markers = rows[some], xy[some], labels[some], placed_markers[some]
     R, p = view.R[rows], view.p[rows]
     on_tip = camera[ON_TIP] > 0.5
     carried = np.swapaxes(R, 1, 2) if on_tip else R
     offset = -np.einsum("nij,nj->ni", carried, p) if on_tip else p.copy()
-    marker = np.where(told[:, None], states["marker"][labels], 0.0)
-    columns, middle, axes, markers = [], None, np.zeros((3, 0)), np.unique(labels[~told])
+    marker = np.where(placed_markers[:, None], states["marker"][labels], 0.0)
+    columns, middle, axes, markers = [], None, np.zeros((3, 0)), np.unique(labels[~placed_markers])
     if pair[0] not in settled["camera"]:
         columns.append(np.broadcast_to(-np.eye(3), (len(rows), 3, 3)))
     else:
@@ -229,30 +232,30 @@ def _shape(marker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of the markers, (3,), and the axes along which they spread, (3, r): two for a flat board, none for one marker."""
     middle = marker.mean(axis=0)
     _, sizes, Vt = np.linalg.svd(marker - middle, full_matrices=False)
-    return middle, Vt[sizes > FLAT * max(sizes[0], 1e-9)].T
+    return middle, Vt[sizes > LEAST_SPREAD * max(sizes[0], 1e-9)].T
 
 
 def _compared(sight: _Sight, turns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The best rotations with the rest that belongs to them, improved in turn: Wahba's problem for the one, linear for the other.
+    """The best rotations and their unknowns x, improved in turn: rotations by Wahba's problem, x by linear equations.
 
     The first that is given is among them: a hint.
     """
     turns, x, cost = _swept(sight, turns)
-    better = np.unique(np.r_[0, np.argsort(cost, kind="stable")[:BETTER]])
+    better = np.unique(np.r_[0, np.argsort(cost, kind="stable")[:IMPROVED_ROTATIONS]])
     turns, x, cost = _swept(sight, turns[better])
-    kept: list[int] = []
+    chosen: list[int] = []
     for k in [0, *np.argsort(cost, kind="stable").tolist()]:
-        if not any(np.trace(turns[k].T @ turns[other]) > ONE for other in kept):
-            kept.append(k)
-    return [(turns[k], x[k]) for k in kept[:FINALISTS]]
+        if not any(np.trace(turns[k].T @ turns[other]) > SAME_ROTATION_TRACE for other in chosen):
+            chosen.append(k)
+    return [(turns[k], x[k]) for k in chosen[:DESCENDED_ROTATIONS]]
 
 
 def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (G, 3, 3) after some sweeps, the rest x (G, K), and the mean of 1 - cos of what the rays are off by (G,)."""
+    """Rotations (G, 3, 3) after some sweeps, their unknowns x (G, K), and the mean of 1 - cos of the rays' errors, (G,)."""
     K = sight.linear.shape[2]
     flat = sight.linear.reshape(-1, K)
     square, pull = flat.T @ flat, flat.T @ sight.offset.ravel()
-    for sweep in range(SWEEPS):
+    for sweep in range(SWEEPS_OF_A_ROTATION):
         w = sight.rays @ np.swapaxes(turns, 1, 2)
         f = np.einsum("gni,nik->gnk", w, sight.linear)
         M = square - np.swapaxes(f, 1, 2) @ f
@@ -262,27 +265,29 @@ def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         X = sight.offset + np.einsum("nik,gk->gni", sight.linear, x)
         u = X / np.maximum(np.linalg.norm(X, axis=2, keepdims=True), 1e-12)
         cost = 1.0 - np.mean(np.sum(u * w, axis=2), axis=1)
-        if sweep < SWEEPS - 1 and sight.camera:
+        if sweep < SWEEPS_OF_A_ROTATION - 1 and sight.camera:
             turns = nearest_rotation(np.swapaxes(u, 1, 2) @ sight.rays)
     return turns, x, cost
 
 
-def _stated(
+def _with_solution(
     view: View, states: dict[str, np.ndarray], sight: _Sight, pair: tuple[int, int], turn: np.ndarray, x: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """States with what a solution says of a pair; what is not free stays."""
-    made = {name: state.copy() for name, state in states.items()}
+    """States with the solution x of a pair; all others stay."""
+    new = {name: state.copy() for name, state in states.items()}
     if sight.camera:
-        made["camera"][pair[0], T], made["camera"][pair[0], R9] = x[:3], turn.ravel()
+        new["camera"][pair[0], T], new["camera"][pair[0], R9] = x[:3], turn.ravel()
         x = x[3:]
     if sight.middle is not None:
         r = sight.axes.shape[1]
-        seen, own = x[3 : 3 + 3 * r].reshape(r, 3).T, sight.axes
+        turned, axes = x[3 : 3 + 3 * r].reshape(r, 3).T, sight.axes
         if r == 2:  # the third follows from the two
-            seen = np.column_stack([seen, np.cross(seen[:, 0], seen[:, 1]) / max(np.linalg.norm(seen[:, 0]), 1e-12)])
-            own = np.column_stack([own, np.cross(own[:, 0], own[:, 1])])
-        R = nearest_rotation(seen @ own.T)
-        made["board"][pair[1]] = np.concatenate([x[:3] - R @ sight.middle, R.ravel()])
+            turned = np.column_stack(
+                [turned, np.cross(turned[:, 0], turned[:, 1]) / max(np.linalg.norm(turned[:, 0]), 1e-12)]
+            )
+            axes = np.column_stack([axes, np.cross(axes[:, 0], axes[:, 1])])
+        R = nearest_rotation(turned @ axes.T)
+        new["board"][pair[1]] = np.concatenate([x[:3] - R @ sight.middle, R.ravel()])
     else:
-        made["marker"][sight.markers] = x.reshape(-1, 3)
-    return made
+        new["marker"][sight.markers] = x.reshape(-1, 3)
+    return new
