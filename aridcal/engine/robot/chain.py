@@ -142,8 +142,8 @@ class Robot:
         """The path from one link, default the base, to another, default the tip: a chain of its own."""
         pair = start or self.base, end or self.tip
         if pair not in self._paths:
-            made = chain(read_tree(self.urdf, self.path, self.stated), pair[1], pair[0], still=True)
-            self._paths[pair] = replace(made, packages=self.packages, stated=self.stated)
+            path = chain(read_tree(self.urdf, self.path, self.stated), pair[1], pair[0], still=True)
+            self._paths[pair] = replace(path, packages=self.packages, stated=self.stated)
         return self._paths[pair]
 
     def columns_of(self, limb: Robot) -> list[int]:
@@ -226,10 +226,10 @@ class Robot:
     def positions(self, readings: np.ndarray) -> np.ndarray:
         """Joint positions, shape (N, joints), from readings, shape (N, columns): each joint follows its drive."""
         column = {name: k for k, name in enumerate(self.readings)}
-        found = np.empty((len(self.joints), len(readings))).T
-        for own, joint in zip(found.T, self.joints, strict=True):
-            own[:] = driven(joint.drive, readings, column)
-        return found
+        positions = np.empty((len(self.joints), len(readings))).T
+        for values, joint in zip(positions.T, self.joints, strict=True):
+            values[:] = driven(joint.drive, readings, column)
+        return positions
 
     def limbs_of(self, place: str) -> tuple[str, ...]:
         """Links to which limbs lead that have a joint on their way, a moving or a fixed one."""
@@ -269,10 +269,10 @@ def driven(drive: Drive, readings: np.ndarray, column: Mapping[str, int]) -> np.
         readings: Shape (N, columns), [rad] or [m].
         column: Where each master's readings are.
     """
-    moved: np.ndarray | float = 0.0
+    position: np.ndarray | float = 0.0
     for name, factor in drive.factors.items():
-        moved = moved + factor * readings[..., column[name]]
-    return moved + drive.offset
+        position = position + factor * readings[..., column[name]]
+    return position + drive.offset
 
 
 def load_robot(
@@ -318,9 +318,9 @@ def parse_robot(
 
 
 def same_chain(robot: Robot, urdf: bytes) -> Robot:
-    """The same chain of another URDF of the robot, that with corrected origins."""
-    made = parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
-    return with_limbs(made, [limb.tip for limb in robot.others]) if robot.others else made
+    """A robot's chain in another URDF of it, the one with corrected origins."""
+    other = parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
+    return with_limbs(other, [limb.tip for limb in robot.others]) if robot.others else other
 
 
 class Route(NamedTuple):
@@ -387,17 +387,17 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
     fixed: list[list[Fixed]] = [[]]
     for element, climbs in (*((e, True) for e in up), *((e, False) for e in reversed(down))):
         kind, joint = element.get("type", ""), str(element.get("name"))
-        own = tree.origins[joint]
+        placement = tree.origins[joint]
         if joint in tree.moves:
             joints.append(_joint(joint, before * origin, tree, climbs))
             before, name, origin = pin.SE3.Identity(), None, pin.SE3.Identity()
             fixed.append([])
         elif kind == "fixed" and climbs:
-            before = before * own.inverse()
-            fixed[-1].append(Fixed(joint, own, True))
+            before = before * placement.inverse()
+            fixed[-1].append(Fixed(joint, placement, True))
         elif kind == "fixed":
-            before, name, origin = before * origin, joint, own
-            fixed[-1].append(Fixed(joint, own, False))
+            before, name, origin = before * origin, joint, placement
+            fixed[-1].append(Fixed(joint, placement, False))
         else:
             raise RobotError(
                 f"{path}: joint {joint!r} on the chain is {shortened(kind)!r}: only serial chains of "
@@ -423,11 +423,11 @@ def chain(tree: UrdfTree, tip: str, base: str | None = None, still: bool = False
 
 def _ways_to_the_root(tree: UrdfTree, link: str) -> list[etree._Element]:
     """The joints between a link and the tree's root, upwards."""
-    found = []
+    joints = []
     while link in tree.parent_of:
         link, element = tree.parent_of[link]
-        found.append(element)
-    return found
+        joints.append(element)
+    return joints
 
 
 def _root(tree: UrdfTree, link: str) -> str:
@@ -458,14 +458,14 @@ def _joint(name: str, before: pin.SE3, tree: UrdfTree, climbs: bool) -> Joint:
 
 
 def _columns(joints: Sequence[Joint], tree: UrdfTree) -> tuple[Column, ...]:
-    """What moves joints, each once."""
-    found: dict[str, Column] = {}
+    """The columns that move joints, each once."""
+    columns: dict[str, Column] = {}
     for joint in joints:
         mimics_one = len(joint.drive.factors) == 1 and tree.joints[joint.name].find("mimic") is not None
         for name in joint.drive.factors:
-            if name not in found:
-                found[name] = _column(name, joint.kind if mimics_one else tree.moves[name][1], tree)
-    return tuple(found.values())
+            if name not in columns:
+                columns[name] = _column(name, joint.kind if mimics_one else tree.moves[name][1], tree)
+    return tuple(columns.values())
 
 
 def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -> Column:

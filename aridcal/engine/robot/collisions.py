@@ -16,17 +16,17 @@ from aridcal.engine.robot.meshes import MeshMissing, NotDrawable, read_meshes
 from aridcal.engine.robot.tree import parse_xml
 from aridcal.system.errors import shortened
 
-FLAT = 1e-6
+LEAST_THICKNESS = 1e-6
 """[m]: a mesh thinner than that has no hull; it stands for nothing that could be hit."""
 
 
-THIN = 1e-3
+LINE_RADIUS = 1e-3
 """[m]: radius of a line of sight."""
 
 
 @dataclass(frozen=True)
 class Bodies:
-    """What can touch.
+    """Shapes of a robot and around it that can touch.
 
     Attributes:
         geometry: Shapes on the joints of ``robot.tree``, boxes on none, and the pairs that are looked at.
@@ -48,7 +48,7 @@ class Bodies:
 
 
 def bodies_of(robot: Robot, boxes: Sequence[tuple[np.ndarray, np.ndarray]], usual: np.ndarray) -> Bodies:
-    """What of a robot can touch what else.
+    """The shapes of a robot that can touch one another or a box.
 
     Meshes count as their convex hulls, which are never smaller. Two shapes on one joint or on neighbours are never looked at, nor
     two that touch in every usual posture: their shapes overlap.
@@ -95,15 +95,15 @@ def touches(robot: Robot, geometry: pin.GeometryModel, readings: np.ndarray) -> 
         geometry: Shapes and pairs.
         readings: Shape (n, columns), [rad] or [m].
     """
-    model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
-    found = np.zeros((len(readings), len(geometry.collisionPairs)), dtype=bool)
+    model, data, placed = robot.tree, robot.tree.createData(), geometry.createData()
+    touching = np.zeros((len(readings), len(geometry.collisionPairs)), dtype=bool)
     for row, (_, placements) in enumerate(_placements(robot, readings)):
         for joint, placement in enumerate(placements, start=1):
             data.oMi[joint] = placement
-        pin.updateGeometryPlacements(model, data, geometry, seen)
-        pin.computeCollisions(geometry, seen, False)
-        found[row] = [result.isCollision() for result in seen.collisionResults]
-    return found
+        pin.updateGeometryPlacements(model, data, geometry, placed)
+        pin.computeCollisions(geometry, placed, False)
+        touching[row] = [result.isCollision() for result in placed.collisionResults]
+    return touching
 
 
 def lines_touch(
@@ -118,28 +118,30 @@ def lines_touch(
         starts: In the base's frame, shape (n, 3), [m].
         ends: Likewise.
     """
-    model, data, seen = robot.tree, robot.tree.createData(), geometry.createData()
+    model, data, placed = robot.tree, robot.tree.createData(), geometry.createData()
     moving = [k for k, shape in enumerate(geometry.geometryObjects) if shape.parentJoint]
     request = coal.CollisionRequest()
-    found = np.zeros(len(readings), dtype=bool)
+    touching = np.zeros(len(readings), dtype=bool)
     for row, (base, placements) in enumerate(_placements(robot, readings)):
         for joint, placement in enumerate(placements, start=1):
             data.oMi[joint] = placement
-        pin.updateGeometryPlacements(model, data, geometry, seen)
+        pin.updateGeometryPlacements(model, data, geometry, placed)
         start, end = (np.asarray(base.act(each[row])) for each in (starts, ends))
         along = end - start
         turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).matrix()
-        line, at = coal.Capsule(THIN, float(np.linalg.norm(along))), coal.Transform3s(turn, (start + end) / 2)
+        line, at = coal.Capsule(LINE_RADIUS, float(np.linalg.norm(along))), coal.Transform3s(turn, (start + end) / 2)
         for k in moving:
-            own = coal.Transform3s(seen.oMg[k].rotation, seen.oMg[k].translation)
-            if coal.collide(geometry.geometryObjects[k].geometry, own, line, at, request, coal.CollisionResult()):
-                found[row] = True
+            shape_pose = coal.Transform3s(placed.oMg[k].rotation, placed.oMg[k].translation)
+            if coal.collide(
+                geometry.geometryObjects[k].geometry, shape_pose, line, at, request, coal.CollisionResult()
+            ):
+                touching[row] = True
                 break
-    return found
+    return touching
 
 
 def _stands_on(robot: Robot) -> tuple[int, pin.SE3]:
-    """What stands on the base: the joint of the tree that moves it, 0 for none, and where the base is on that."""
+    """The joint of the tree that moves the base, and what stands on it, 0 for none; and where the base is on that joint."""
     base = link_frame(robot, robot.base)
     return (base.parentJoint, base.placement) if robot.climbs else (0, locked_placement(robot, base))
 
@@ -156,21 +158,23 @@ def _placements(robot: Robot, readings: np.ndarray) -> Iterator[tuple[pin.SE3, l
 def _shapes(robot: Robot) -> tuple[list[Shape], tuple[str, ...]]:
     """The collision shapes of a URDF, and what of them cannot be read; one that is wrong costs no other."""
     root = parse_xml(robot.urdf, robot.path)
-    every = [(link.get("name", ""), own) for link in root.findall("link") for own in link.findall("collision")]
-    meshes = read_meshes(mesh_files([own for _, own in every], robot))
+    every = [(link.get("name", ""), element) for link in root.findall("link") for element in link.findall("collision")]
+    meshes = read_meshes(mesh_files([element for _, element in every], robot))
     shapes: list[Shape] = []
     unread = []
     missing: list[MeshMissing] = []
-    for link, own in every:
+    for link, element in every:
         try:
-            made = list(shapes_of(own, link, robot, None, meshes))
+            added = list(shapes_of(element, link, robot, None, meshes))
         except MeshMissing as error:
             missing.append(error)
             continue
         except NotDrawable as error:
             unread.append(f"collision shapes of link {shortened(link)!r} are not looked at: {error}")
             continue
-        shapes += [shape for shape in made if shape.kind != "mesh" or np.ptp(shape.vertices, axis=0).min() > FLAT]
+        shapes += [
+            shape for shape in added if shape.kind != "mesh" or np.ptp(shape.vertices, axis=0).min() > LEAST_THICKNESS
+        ]
     unread += say_missing(missing, "collisions are not looked at")
     return shapes, tuple(unread)
 

@@ -191,11 +191,11 @@ def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:
     if calibrated.tip_joint is not None:
         origins[calibrated.tip_joint] = calibrated.tip_origin
     # Franka's own file leaves out the prefix of its joints' names.
-    short = {name: found.group() if (found := re.search(r"joint\d+$", name)) else name for name in origins}
+    short = {name: match.group() if (match := re.search(r"joint\d+$", name)) else name for name in origins}
     if len(set(short.values())) < len(short):
         short = {name: name for name in origins}
     written = written_origins(nominal.urdf, origins)
-    entries = {short[name]: {"kinematic": _named(np.concatenate(vectors))} for name, vectors in written.items()}
+    entries = {short[name]: {"kinematic": _by_component(np.concatenate(vectors))} for name, vectors in written.items()}
     return why + yaml.safe_dump(entries, sort_keys=False)
 
 
@@ -208,16 +208,16 @@ def _ur_base(robot: Robot) -> pin.SE3 | None:
     links = {f.name: f for f in tree.frames if f.type == pin.FrameType.BODY}
     base = links[robot.base]
     for name, turn in ((f"{prefix}base_link", pin.SE3.Identity()), (f"{prefix}base_link_inertia", HALF_TURN)):
-        found = links.get(name)
-        if found is not None and found.parentJoint == base.parentJoint:
-            return base.placement.actInv(found.placement) * turn
+        frame = links.get(name)
+        if frame is not None and frame.parentJoint == base.parentJoint:
+            return base.placement.actInv(frame.placement) * turn
     return None
 
 
 def _from(robot: Robot, start: pin.SE3) -> Robot:
-    """The same chain seen from a frame that is rigid with its base."""
-    first, *others = robot.joints
-    return replace(robot, joints=(replace(first, before=start.actInv(first.before)), *others))
+    """A chain seen from a frame that is rigid with its base."""
+    first, *rest = robot.joints
+    return replace(robot, joints=(replace(first, before=start.actInv(first.before)), *rest))
 
 
 def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
@@ -225,7 +225,7 @@ def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
     start, rows, _ = _rows(nominal, _base(nominal) * HALF_TURN, ILL_CONDITIONED_ANGLE)
     joint, frame, before = pin.SE3.Identity(), start, HALF_TURN
     links: dict[str, Any] = {}
-    for nominal_joint, onward, measured, row, link in zip(
+    for nominal_joint, onward, calibrated_onward, row, link in zip(
         nominal.joints, nominal.onward[:-1], calibrated.onward[:-1], _modified(rows), UR_LINKS.values(), strict=True
     ):
         joint = joint * onward
@@ -233,14 +233,14 @@ def _ur_kinematics(nominal: Robot, calibrated: Robot) -> str:
         frame = frame * pin.SE3(step)
         inside = _onto_axis(joint.actInv(frame), nominal_joint.axis)  # the description's frame in the URDF's
         usual = before.inverse() * onward * inside
-        links[link] = _components(before.inverse() * measured * inside, usual)
+        links[link] = _components(before.inverse() * calibrated_onward * inside, usual)
         before = inside
     usual = before.inverse() * nominal.onward[-1]
-    left = _components(before.inverse() * calibrated.onward[-1], usual)
+    to_tip = _components(before.inverse() * calibrated.onward[-1], usual)
     links["hash"] = f"aridcal_{hashlib.sha256(repr(links).encode()).hexdigest()[:16]}"
     return (
         "# For ur_description. The driver warns that the hash is not the controller's: these numbers are measured.\n"
-        f"# From that description's tool0 to the calibrated {calibrated.tip}: {json.dumps(left)}\n"
+        f"# From that description's tool0 to the calibrated {calibrated.tip}: {json.dumps(to_tip)}\n"
         + yaml.safe_dump({"kinematics": links}, sort_keys=False)
     )
 
@@ -260,7 +260,7 @@ def _onto_axis(frame: pin.SE3, axis: np.ndarray) -> pin.SE3:
 
 
 def _rows(robot: Robot, base: pin.SE3, parallel: float = PARALLEL_ANGLE) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
-    """Standard rows from a base frame whose z is the first joint's axis, and the tool that is left."""
+    """Standard rows from a base frame whose z is the first joint's axis, and the tool behind the last one."""
     rows = []
     placement = robot.onward[0]
     frame = base
@@ -316,8 +316,8 @@ def _components(T: pin.SE3, nominal: pin.SE3) -> dict[str, float]:
     """A placement by name, its angles near the nominal one's."""
     xyz = without_rounding(T.translation, without_rounding(nominal.translation, np.zeros(3)))
     usual = rpy_near(nominal.rotation, np.zeros(3))
-    return _named(np.concatenate([xyz, rpy_near(T.rotation, usual)]))
+    return _by_component(np.concatenate([xyz, rpy_near(T.rotation, usual)]))
 
 
-def _named(values: np.ndarray) -> dict[str, float]:
+def _by_component(values: np.ndarray) -> dict[str, float]:
     return dict(zip(("x", "y", "z", "roll", "pitch", "yaw"), (values + 0.0).tolist(), strict=True))

@@ -175,7 +175,7 @@ def doty_links(robot: Robot) -> tuple[Link, ...]:
 
 
 def links_down(robot: Robot) -> tuple[Link, ...]:
-    """Those whose parameters corrections can move: of joints on the way down, where the next origin in the URDF holds them."""
+    """Links whose parameters corrections can move: of joints on the way down, where the next origin in the URDF holds them."""
     joints = robot.main.joints
     return tuple(link for link, joint in zip(doty_links(robot), joints, strict=True) if not joint.climbs)
 

@@ -89,7 +89,7 @@ def first_order_pair(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     Args:
         first: ``d theta beta a alpha`` of the first link, shape (..., 5), [m] and [rad].
-        second: The same of the second.
+        second: Those of the second link, likewise.
 
     Returns:
         Shape (..., 4, 4).
@@ -205,8 +205,8 @@ def pose(links: np.ndarray, q: np.ndarray) -> np.ndarray:
     Returns:
         Shape (N, 4, 4).
     """
-    moved = _moved(links, q)
-    L = link_transform(**{c: moved[..., k] for k, c in enumerate(COMPONENTS)})
+    sums = _with_readings(links, q)
+    L = link_transform(**{c: sums[..., k] for k, c in enumerate(COMPONENTS)})
     return L[:, 0] @ L[:, 1] @ L[:, 2] @ L[:, 3]
 
 
@@ -225,14 +225,14 @@ def jacobian(links: np.ndarray, q: np.ndarray, tip: np.ndarray | None = None) ->
         Shape (N, 6, 32), columns as :data:`PARAMETERS`: velocity of the tool's origin, then angular velocity, in base
         axes, per m or rad.
     """
-    moved = _moved(links, q)
+    sums = _with_readings(links, q)
     T = np.broadcast_to(np.eye(4), (len(q), 4, 4))
     nil = dict.fromkeys(COMPONENTS, 0.0)
     factors = _frame_factors(T)  # of the base
     for i in range(len(JOINTS)):
         for k, (component, (kind, axis)) in enumerate(COMPONENTS.items()):
             factors.append(_Factor(kind, T[:, :3, axis], T[:, :3, 3]))
-            T = T @ link_transform(**(nil | {component: moved[:, i, k]}))
+            T = T @ link_transform(**(nil | {component: sums[:, i, k]}))
     T = T if tip is None else T @ tip
     factors += _frame_factors(T)  # of the tool
     end = T[:, :3, 3]
@@ -288,15 +288,15 @@ def solve_psi(
     """
     rows = [0, 1, 4]
     matrix = E(theta, lengths)[:, rows].reshape(-1, len(PSI))
-    measured = error_vector(poses, d1)[:, rows].ravel()
+    errors = error_vector(poses, d1)[:, rows].ravel()
     names = PSI
     if rail_zero:
         matrix = np.column_stack([matrix, np.tile([0.0, 0.0, 1.0], len(poses))])
         names = (*PSI, "joint_1.d")
     _require_full_rank(matrix, names)
-    solution = np.linalg.lstsq(matrix, measured, rcond=None)[0]
-    psi, others = solution[: len(PSI)], solution[len(PSI) :]
-    return psi, float(others[0]) if rail_zero else 0.0
+    solution = np.linalg.lstsq(matrix, errors, rcond=None)[0]
+    psi, extra = solution[: len(PSI)], solution[len(PSI) :]
+    return psi, float(extra[0]) if rail_zero else 0.0
 
 
 @dataclass(frozen=True)
@@ -394,7 +394,7 @@ def link_table(robot: Robot) -> np.ndarray:
     return np.array([[0.0, link.theta, link.beta, link.a, link.alpha] for link in doty_links(robot)])
 
 
-def _moved(links: np.ndarray, q: np.ndarray) -> np.ndarray:
+def _with_readings(links: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Links with the readings added, shape (N, 4, 5)."""
     readings = np.zeros((len(q), 4, 5))
     readings[:, 0, D] = q[:, 0]

@@ -23,14 +23,14 @@ class Drive:
     offset: float = 0.0
 
     def of(self, drives: Mapping[str, Drive]) -> Drive:
-        """The same with those masters replaced that have drives of their own by what these follow."""
+        """The drive in which masters that have drives of their own are replaced by what these follow."""
         factors: dict[str, float] = {}
         offset = self.offset
         for name, factor in self.factors.items():
-            own = drives.get(name, Drive({name: 1.0}))
-            for master, further in own.factors.items():
+            master_drive = drives.get(name, Drive({name: 1.0}))
+            for master, further in master_drive.factors.items():
                 factors[master] = factors.get(master, 0.0) + factor * further
-            offset += factor * own.offset
+            offset += factor * master_drive.offset
         return Drive(factors, offset)
 
 
@@ -53,12 +53,12 @@ class Stated:
 
     @property
     def drives(self) -> dict[str, Drive]:
-        """The same as drives, masters not yet resolved."""
+        """Drives of the joints, masters not yet resolved."""
         still = {name: Drive({}, place) for name, place in self.joints.items()}
         return still | {name: Drive(factors) for name, factors in self.coupled.items()}
 
     def check(self, joints: Collection[str], moving: Collection[str], mimics: Collection[str], urdf: str) -> None:
-        """Refuse what cannot be meant of a robot.
+        """Refuse statements that no robot of these joints can have.
 
         Args:
             joints: Names of all its joints.
@@ -116,17 +116,17 @@ def resolved(direct: Mapping[str, Drive]) -> dict[str, Drive]:
     Raises:
         Loop: a joint follows itself, by way of others or not.
     """
-    found: dict[str, Drive] = {}
+    drives: dict[str, Drive] = {}
     for first in direct:
-        path = {} if first in found else {first: None}
+        path = {} if first in drives else {first: None}
         while path:
             name = next(reversed(path))
-            above = next((m for m in direct[name].factors if m in direct and m not in found), None)
+            above = next((m for m in direct[name].factors if m in direct and m not in drives), None)
             if above is None:
-                found[name] = direct[name].of(found)
+                drives[name] = direct[name].of(drives)
                 del path[name]
             elif above in path:
                 raise Loop(first, above)
             else:
                 path[above] = None
-    return found
+    return drives

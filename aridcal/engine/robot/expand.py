@@ -101,7 +101,7 @@ def is_xacro(content: bytes, path: Path) -> bool:
 
 
 def _expanded(path: Path, limit: Limit, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> bytes:
-    asked = {
+    request = {
         "path": str(path.absolute()),
         "packages": {name: str(place.absolute()) for name, place in packages.items()},
         "arguments": dict(arguments),
@@ -111,24 +111,24 @@ def _expanded(path: Path, limit: Limit, packages: Mapping[str, Path], arguments:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         # -P: no module from the folder where the user happens to be
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", __name__], input=json.dumps(asked).encode(), capture_output=True, check=False,
+        process = subprocess.run(
+            [sys.executable, "-P", "-m", __name__], input=json.dumps(request).encode(), capture_output=True, check=False,
             env=environment, timeout=SECONDS + 10,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         raise _endless(path) from None
     try:
-        said: dict[str, Any] = json.loads(done.stdout)
+        answer: dict[str, Any] = json.loads(process.stdout)
     except ValueError:
-        if done.returncode in (-signal.SIGXCPU, -signal.SIGALRM, -signal.SIGKILL):
+        if process.returncode in (-signal.SIGXCPU, -signal.SIGALRM, -signal.SIGKILL):
             raise _endless(path) from None
         raise RobotError(
-            f"{path}: xacro died of it (status {done.returncode}), perhaps for want of memory: at most {MEMORY_GB:g} GB are "
+            f"{path}: xacro died of it (status {process.returncode}), perhaps for want of memory: at most {MEMORY_GB:g} GB are "
             "given. Run xacro first, and name the URDF that it writes"
         ) from None
-    if "urdf" in said:
-        return str(said["urdf"]).encode()
-    raise RobotError(_remedy(path, said))
+    if "urdf" in answer:
+        return str(answer["urdf"]).encode()
+    raise RobotError(_remedy(path, answer))
 
 
 def _endless(path: Path) -> RobotError:
@@ -138,18 +138,18 @@ def _endless(path: Path) -> RobotError:
     )
 
 
-def _remedy(path: Path, said: Mapping[str, Any]) -> str:
+def _remedy(path: Path, answer: Mapping[str, Any]) -> str:
     """Say what is wrong with a xacro file, and what to do."""
-    if package := said.get("package"):
+    if package := answer.get("package"):
         return f"{path}: needs the package {package!r}, which is not found: {HINT.format(name=package)}"
-    if unknown := said.get("unknown"):
-        about = nearest(unknown, said["known"])
-        return f"{path}: has no argument {unknown!r}{about}. Its arguments: {', '.join(said['known']) or 'none'}"
-    if megabytes := said.get("megabytes"):
+    if unknown := answer.get("unknown"):
+        about = nearest(unknown, answer["known"])
+        return f"{path}: has no argument {unknown!r}{about}. Its arguments: {', '.join(answer['known']) or 'none'}"
+    if megabytes := answer.get("megabytes"):
         return f"{path}: expands to {megabytes:.1f} MB, more than may be read: shorten it"
-    why = " ".join(str(said.get("why", "")).split()).partition(" when evaluating expression")[0]
-    if found := UNDEFINED.search(why):
-        name = found[1]
+    why = " ".join(str(answer.get("why", "")).split()).partition(" when evaluating expression")[0]
+    if match := UNDEFINED.search(why):
+        name = match[1]
         return (
             f"{path}: its argument {name!r} has no value: give it one with `--argument {name}=VALUE` (in a campaign: "
             f"`robot.arguments: {{{name}: VALUE}}`)"
@@ -158,10 +158,10 @@ def _remedy(path: Path, said: Mapping[str, Any]) -> str:
 
 
 class _Arguments(dict[str, str]):
-    """Values of arguments, and which of these the file knows."""
+    """Values of arguments, and which arguments the file has."""
 
-    def __init__(self, given: Mapping[str, str]) -> None:
-        super().__init__(given)
+    def __init__(self, values: Mapping[str, str]) -> None:
+        super().__init__(values)
         self.known: dict[str, None] = {}
 
     def __contains__(self, name: object) -> bool:
@@ -177,41 +177,41 @@ class _NoPackage(Exception):
     """A package was not found."""
 
 
-def _answer(asked: Mapping[str, Any]) -> dict[str, Any]:
-    """Expand a file here and now; what is found, or why not."""
+def _answer(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Expand a file here and now: the URDF, or why there is none."""
     import xacrodoc.xacrodoc as doc
 
-    path = Path(asked["path"])
-    places = {name: Path(place) for name, place in asked["packages"].items()}
+    path = Path(request["path"])
+    places = {name: Path(place) for name, place in request["packages"].items()}
     missing: list[str] = []
 
     def find(name: str) -> str:
-        found = find_package(name, path.parent, places)
-        if found is None:
+        folder = find_package(name, path.parent, places)
+        if folder is None:
             missing.append(name)
             raise _NoPackage(name)
-        return str(found.absolute())
+        return str(folder.absolute())
 
-    given = _Arguments(asked["arguments"])
+    values = _Arguments(request["arguments"])
     doc.packages.get_path = find
     forget_others(doc.xacro._global_symbols)
     doc.xacro.safe_eval = doc.substitution_args.eval = evaluate
     doc.substitution_args._eval_dict["find"] = find
-    _within_limits(asked["seconds"])
+    _within_limits(request["seconds"])
     try:
-        doc.xacro.init_stacks(asked["path"])
-        document = doc.xacro.parse(None, asked["path"])
-        doc.xacro.process_doc(document, mappings=given)
+        doc.xacro.init_stacks(request["path"])
+        document = doc.xacro.parse(None, request["path"])
+        doc.xacro.process_doc(document, mappings=values)
         urdf = document.toprettyxml(indent="  ")
     except Exception as error:  # whatever a file makes of xacro
         if isinstance(getattr(error, "exc", None) or error, MemoryError):
             return {"why": f"takes more than {MEMORY_GB:g} GB"}
         return {"package": missing[-1]} if missing else {"why": str(error) or type(error).__name__}
-    unknown = [name for name in asked["arguments"] if name not in given.known]
+    unknown = [name for name in request["arguments"] if name not in values.known]
     if unknown:
-        return {"unknown": unknown[0], "known": list(given.known)}
+        return {"unknown": unknown[0], "known": list(values.known)}
     megabytes = len(urdf.encode()) / MEGA
-    return {"urdf": urdf} if megabytes * MEGA <= asked["bytes"] else {"megabytes": megabytes}
+    return {"urdf": urdf} if megabytes * MEGA <= request["bytes"] else {"megabytes": megabytes}
 
 
 def _within_limits(seconds: int) -> None:

@@ -31,14 +31,14 @@ def transverse(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     Returns:
         e1 and e2, shape (..., 3) each.
     """
-    lengths, own = np.abs(axis), np.eye(3)
-    least = own[lengths.argmin(axis=-1)]
+    lengths, frame = np.abs(axis), np.eye(3)
+    least = frame[lengths.argmin(axis=-1)]
     e1 = least - (least * axis).sum(axis=-1, keepdims=True) * axis
     e1 = e1 / np.sqrt((e1 * e1).sum(axis=-1, keepdims=True))
     e2 = np.cross(axis, e1)
     largest = lengths.argmax(axis=-1)
     aligned = np.sort(lengths, axis=-1)[..., 1, None] < ON_AN_AXIS
-    before, after = own[np.array([1, 0, 0])[largest]], own[np.array([2, 2, 1])[largest]]
+    before, after = frame[np.array([1, 0, 0])[largest]], frame[np.array([2, 2, 1])[largest]]
     return np.where(aligned, before, e1), np.where(aligned, after, e2)
 
 
@@ -119,7 +119,7 @@ def _root_in_base(
     while k:
         q, back = _position(robot, readings, k, still), model.jointPlacements[k].inverse()
         if q is not None:
-            R, p = _moved(R, p, *robot.moves[model.names[k]], -q)
+            R, p = _after_motion(R, p, *robot.moves[model.names[k]], -q)
         p = p + along(R, back.translation)
         R = np.array([along(R, numbers) for numbers in back.rotation.T])
         k = model.parents[k]
@@ -130,13 +130,13 @@ def _position(robot: Robot, readings: np.ndarray, k: int, still: Collection[int]
     """Positions of a joint of the tree, shape (N,), or the one of all rows; None of one that stays at zero."""
     joint, column = robot.tree.names[k], {name: number for number, name in enumerate(robot.readings)}
     drive = robot.mimics.get(joint, Drive({joint: 1.0}))
-    known = drive.factors.keys() <= column.keys()
-    if not known or joint not in robot.moves or (k in still and drive.factors):
+    has_readings = drive.factors.keys() <= column.keys()
+    if not has_readings or joint not in robot.moves or (k in still and drive.factors):
         return None
     return driven(drive, readings, column)
 
 
-def _moved(
+def _after_motion(
     axes: np.ndarray, origin: np.ndarray, axis: np.ndarray, kind: str, q: np.ndarray | float
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""A frame after a joint's motion, from its axes (3, 3, N) and origin (3, N).
@@ -148,11 +148,11 @@ def _moved(
     if kind == "prismatic":
         return axes, origin + q * along(axes, axis)
     about, s, c = pin.skew(axis), np.sin(q), 1.0 - np.cos(q)
-    turned = axes.copy()
-    for own, once, twice in zip(turned, about.T, (about @ about).T, strict=True):
+    result = axes.copy()
+    for vector, once, twice in zip(result, about.T, (about @ about).T, strict=True):
         if once.any():
-            own += s * along(axes, once) + c * along(axes, twice)
-    return turned, origin
+            vector += s * along(axes, once) + c * along(axes, twice)
+    return result, origin
 
 
 def link_frame(robot: Robot, link: str) -> pin.Frame:
@@ -174,17 +174,17 @@ def _walk(
         still: Joints that stay at zero although they are measured; those that are stated to stand elsewhere do not.
     """
     model = robot.tree
-    R, p = ({0: own} for own in root)
+    R, p = ({0: numbers} for numbers in root)
     yield Walked(0, R[0].transpose(2, 1, 0), R[0].transpose(2, 1, 0), p[0].T)
     for k in range(1, model.njoints):
         parent, placement = model.parents[k], model.jointPlacements[k]
         bearing = np.empty_like(R[0])
-        for own, numbers in zip(bearing, placement.rotation.T, strict=True):
-            own[:] = along(R[parent], numbers)
+        for vector, numbers in zip(bearing, placement.rotation.T, strict=True):
+            vector[:] = along(R[parent], numbers)
         axes, origin = bearing, p[parent] + along(R[parent], placement.translation)
         q = _position(robot, readings, k, still)
         if q is not None:
-            axes, origin = _moved(bearing, origin, *robot.moves[model.names[k]], q)
+            axes, origin = _after_motion(bearing, origin, *robot.moves[model.names[k]], q)
         R[k], p[k] = axes, origin
         yield Walked(k, bearing.transpose(2, 1, 0), axes.transpose(2, 1, 0), origin.T)
 
@@ -218,20 +218,20 @@ def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -
     model = robot.tree
     mass, moment = np.zeros(model.njoints), np.zeros((model.njoints, *walked[0].origin.T.shape))
     for step in reversed(walked):  # children first; each hands what it bears to its parent
-        k, own = step.joint, model.inertias[step.joint]
-        if own.mass > 0.0:
-            mass[k] += own.mass
-            moment[k] += own.mass * (step.origin.T + along(step.axes.T, own.lever))
+        k, body = step.joint, model.inertias[step.joint]
+        if body.mass > 0.0:
+            mass[k] += body.mass
+            moment[k] += body.mass * (step.origin.T + along(step.axes.T, body.lever))
         if k:
             mass[model.parents[k]] += mass[k]
             moment[model.parents[k]] += moment[k]
     chain = of_chain(robot, walked)
     wrenches = []
     for joint, step in zip(robot.joints, chain, strict=True):
-        held, of_held = mass[step.joint], moment[step.joint]
+        borne_mass, borne_moment = mass[step.joint], moment[step.joint]
         if joint.climbs:
-            held, of_held = held - mass[0], of_held - moment[0]
-        wrenches.append((held * gravity, np.cross(of_held.T - held * step.origin, gravity)))
+            borne_mass, borne_moment = borne_mass - mass[0], borne_moment - moment[0]
+        wrenches.append((borne_mass * gravity, np.cross(borne_moment.T - borne_mass * step.origin, gravity)))
     return borne_by(chain, wrenches)
 
 
@@ -239,8 +239,8 @@ def borne_by(joints: Sequence[Walked], wrenches: Sequence[tuple[np.ndarray, np.n
     """Force [N] and moment [N m] of each of some joints, (3,) or (N, 3), in its axes before it turns, shape (N, joints, 6)."""
     loads = np.empty((len(joints), 6, len(joints[0].origin)))
     for load, joint, parts in zip(loads, joints, wrenches, strict=True):
-        for own, part in zip((load[:3], load[3:]), parts, strict=True):
-            np.sum(joint.bearing.T * np.atleast_2d(part).T, axis=1, out=own)
+        for sums, vectors in zip((load[:3], load[3:]), parts, strict=True):
+            np.sum(joint.bearing.T * np.atleast_2d(vectors).T, axis=1, out=sums)
     return loads.transpose(2, 0, 1)
 
 
@@ -284,9 +284,9 @@ def start_frames(
     """
     n = len(readings)
     R, p, linked = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.zeros(n, dtype=bool)
-    own = np.zeros(n, dtype=int) if route is None else route
-    for number in np.unique(own).tolist():
-        start, some = routes[number].start, own == number
+    of_row = np.zeros(n, dtype=int) if route is None else route
+    for number in np.unique(of_row).tolist():
+        start, some = routes[number].start, of_row == number
         if start is not None:
             chain = robot.between(None, start)
             R[some], p[some] = tip_frames(chain, readings[some][:, robot.columns_of(chain)])
@@ -312,9 +312,9 @@ def bears(robot: Robot, link: str) -> np.ndarray:
 def carriers(robot: Robot, route: Route) -> np.ndarray:
     """Readings that move the end of a path and not its start, shape (columns,) bool; all on the path if there is none."""
     up, down = (_joints_upstream(robot.tree, link_frame(robot, link or robot.base)) for link in route)
-    own = np.array([robot.tree.getJointId(joint.name) for joint in robot.joints])
-    beyond = np.isin(own, list(down - up))
-    return np.any(robot.factors[beyond if beyond.any() else np.isin(own, list(down ^ up))] != 0.0, axis=0)
+    ids = np.array([robot.tree.getJointId(joint.name) for joint in robot.joints])
+    beyond = np.isin(ids, list(down - up))
+    return np.any(robot.factors[beyond if beyond.any() else np.isin(ids, list(down ^ up))] != 0.0, axis=0)
 
 
 def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -326,11 +326,11 @@ def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
 
 def _joints_upstream(model: pin.Model, frame: pin.Frame) -> set[int]:
     """Joints between the tree's root and a frame."""
-    found, k = set(), frame.parentJoint
+    joints, k = set(), frame.parentJoint
     while k > 0:
-        found.add(k)
+        joints.add(k)
         k = model.parents[k]
-    return found
+    return joints
 
 
 def locked_placement(robot: Robot, frame: pin.Frame) -> pin.SE3:
@@ -346,12 +346,12 @@ def locked_placement(robot: Robot, frame: pin.Frame) -> pin.SE3:
 
 
 def _motion(axis: np.ndarray, kind: str, q: float) -> pin.SE3:
-    """What a joint does, from its origin."""
+    """A joint's motion, from its origin."""
     return pin.SE3(np.eye(3), q * axis) if kind == "prismatic" else pin.SE3(pin.exp3(q * axis), np.zeros(3))
 
 
 def configuration(model: pin.Model, places: Mapping[str, float]) -> np.ndarray:
-    """Pinocchio's configuration with some joints where they are said to be, [rad] or [m], and all others at zero."""
+    """Pinocchio's configuration with some joints at these places, [rad] or [m], and all others at zero."""
     q = pin.neutral(model)
     for name, place in places.items():
         joint = model.joints[model.getJointId(name)]

@@ -125,10 +125,10 @@ def _forms(visual: etree._Element, robot: Robot, meshes: Meshes) -> Iterator[_Fo
             scale = np.array(floats(element, "scale", "1 1 1"))
             if len(scale) not in (1, 3):
                 raise NotDrawable("`scale` of <mesh> should be 3 numbers")
-            found = meshes[find_mesh(element.get("filename", ""), robot)]
-            if isinstance(found, NotDrawable):
-                raise found
-            for colour, vertices, faces in found:
+            parts = meshes[find_mesh(element.get("filename", ""), robot)]
+            if isinstance(parts, NotDrawable):
+                raise parts
+            for colour, vertices, faces in parts:
                 yield _Form("mesh", (), colour, vertices * scale, faces)
         elif isinstance(element.tag, str):
             raise NotDrawable(f"<{element.tag}> is no shape of URDF")
@@ -136,12 +136,12 @@ def _forms(visual: etree._Element, robot: Robot, meshes: Meshes) -> Iterator[_Fo
 
 def mesh_files(visuals: Sequence[etree._Element], robot: Robot) -> list[Path]:
     """List the mesh files of visuals that are there."""
-    found = []
+    files = []
     for visual in visuals:
         for element in visual.iterfind("geometry/mesh"):
             with suppress(NotDrawable):  # said where it is drawn
-                found.append(find_mesh(element.get("filename", ""), robot))
-    return found
+                files.append(find_mesh(element.get("filename", ""), robot))
+    return files
 
 
 def find_mesh(uri: str, robot: Robot) -> Path:
@@ -154,12 +154,12 @@ def find_mesh(uri: str, robot: Robot) -> Path:
         MeshMissing: it is not there.
         NotDrawable: it is no local file.
     """
-    scheme, _, rest = uri.rpartition("://")
-    folder, (package, _, inside) = robot.path.parent, rest.partition("/")
+    scheme, _, inner = uri.rpartition("://")
+    folder, (package, _, inside) = robot.path.parent, inner.partition("/")
     if scheme == "package":
         candidates: Iterator[Path] = (place / inside for place in package_folders(package, folder, robot.packages))
     elif scheme in ("", "file"):
-        candidates = iter([folder / rest])
+        candidates = iter([folder / inner])
     else:
         raise NotDrawable(f"{shortened(uri)!r} is not a local file")
     try:
@@ -183,14 +183,14 @@ def say_missing(missing: Sequence[MeshMissing], what: str) -> list[str]:
     for package in dict.fromkeys(each.package for each in missing):
         lacking = [each.uri for each in missing if each.package == package]
         more = len(set(lacking)) - 1
-        shown = repr(shortened(lacking[0])) + (f" and {more} more" if more else "")
+        example = repr(shortened(lacking[0])) + (f" and {more} more" if more else "")
         count = f"{len(lacking)} shape{'s' if len(lacking) > 1 else ''}"
         hint = (
             f"package {package}: {HINT.format(name=package)}"
             if package
             else "put it where the URDF looks for it, or leave it so"
         )
-        lines.append(f"{what}: {count} without a mesh file ({shown}); {hint}")
+        lines.append(f"{what}: {count} without a mesh file ({example}); {hint}")
     return lines
 
 
@@ -214,8 +214,8 @@ def _lengths(element: etree._Element, key: str, count: int) -> tuple[float, ...]
     """Read so many lengths, [m], of a box, a cylinder or a sphere."""
     numbers = floats(element, key, "")
     if len(numbers) != count or min(numbers) <= 0:
-        wanted = "a positive number" if count == 1 else f"{count} positive numbers"
-        raise NotDrawable(f"`{key}` of <{element.tag}> should be {wanted}, not {shortened(element.get(key, ''))!r}")
+        expected = "a positive number" if count == 1 else f"{count} positive numbers"
+        raise NotDrawable(f"`{key}` of <{element.tag}> should be {expected}, not {shortened(element.get(key, ''))!r}")
     return numbers
 
 

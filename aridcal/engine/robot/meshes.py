@@ -25,7 +25,7 @@ import numpy as np
 from aridcal.system.errors import shortened
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".glb", ".gltf", ".off")
-"""What URDFs name. Archives are left out: what is in them has no size beforehand."""
+"""Formats that URDFs name. Archives are left out: what is in them has no size beforehand."""
 
 # [MB] of one file, and of all files of a robot: detailed arms have meshes of 5 MB, and a text file of 50 MB holds half a
 # million triangles, four times what is drawn of a whole robot.
@@ -79,23 +79,23 @@ def read_meshes(paths: Sequence[Path]) -> dict[Path, list[Part] | NotDrawable]:
     Returns:
         By path, the parts of each file, one for each colour, or why there are none.
     """
-    found: dict[Path, list[Part] | NotDrawable] = {}
-    left = []
+    answers: dict[Path, list[Part] | NotDrawable] = {}
+    waiting = []
     room = ROBOT_MB * 1e6
     for path in dict.fromkeys(paths):
         refused = _refusal(path, room)
         if refused is None:
-            left.append(path)
+            waiting.append(path)
             room -= path.stat().st_size
         else:
-            found[path] = refused
+            answers[path] = refused
     end = time.monotonic() + ROBOT_SECONDS
-    while left and time.monotonic() < end:
-        for part in _ask(tuple(left), end):
-            found[left.pop(0)] = part
-    for path in left:
-        found[path] = NotDrawable(f"mesh {path.name!r} is not read: those before it took {ROBOT_SECONDS} s")
-    return found
+    while waiting and time.monotonic() < end:
+        for answer in _ask(tuple(waiting), end):
+            answers[waiting.pop(0)] = answer
+    for path in waiting:
+        answers[path] = NotDrawable(f"mesh {path.name!r} is not read: those before it took {ROBOT_SECONDS} s")
+    return answers
 
 
 def _refusal(path: Path, room: float) -> NotDrawable | None:
@@ -154,16 +154,16 @@ def _answer(stream: IO[bytes]) -> list[Part] | NotDrawable | None:
     head = stream.readline()
     if not head.endswith(b"\n"):
         return None
-    said = json.loads(head)
-    if "why" in said:
-        return NotDrawable(said["why"])
-    content = stream.read(said["bytes"])
-    if len(content) < said["bytes"]:
+    fields = json.loads(head)
+    if "why" in fields:
+        return NotDrawable(fields["why"])
+    content = stream.read(fields["bytes"])
+    if len(content) < fields["bytes"]:
         return None
     arrays = np.load(io.BytesIO(content), allow_pickle=False)
     return [
         (None if colour is None else tuple(colour), arrays[f"vertices {k}"], arrays[f"faces {k}"])
-        for k, colour in enumerate(said["colours"])
+        for k, colour in enumerate(fields["colours"])
     ]
 
 
@@ -190,7 +190,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray
     """
     low, cells = vertices.min(axis=0), FINEST
     size = max(float(np.ptp(vertices, axis=0).max()), 1e-12)
-    kept = vertices[:0], faces[:0]
+    result = vertices[:0], faces[:0]
     while True:
         x, y, z = ((vertices - low) * (cells / size)).round().astype(np.int64).T
         cell = (x << 40) + (y << 20) + z
@@ -199,11 +199,11 @@ def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray
         a, b, c = welded.T
         welded = welded[(a != b) & (b != c) & (c != a)]
         if not len(welded):
-            return kept
-        used, again = np.unique(welded, return_inverse=True)
-        kept = vertices[first[used]], again.reshape(-1, 3)
+            return result
+        numbers, again = np.unique(welded, return_inverse=True)
+        result = vertices[first[numbers]], again.reshape(-1, 3)
         if len(welded) <= most or cells < COARSEST:
-            return kept
+            return result
         cells *= COARSER
 
 
@@ -230,15 +230,15 @@ def load_mesh(path: Path) -> list[Part]:
         raise NotDrawable(f"mesh {path.name!r} has no faces")
     if len(groups) > COLOURS:
         raise NotDrawable(f"mesh {path.name!r} has more than {COLOURS} colours: draw a simpler one")
-    return [(colour, *_joined(same)) for colour, same in groups.items()]
+    return [(colour, *_joined(group)) for colour, group in groups.items()]
 
 
 def _companions(path: Path) -> dict[str, bytes]:
     """Read the files beside a mesh that it may need, by name: an OBJ's colours, a glTF's numbers. No texture is one."""
-    wanted = {".obj": "*.mtl", ".gltf": "*.bin"}.get(path.suffix.lower())
-    if wanted is None:
+    endings = {".obj": "*.mtl", ".gltf": "*.bin"}.get(path.suffix.lower())
+    if endings is None:
         return {}
-    beside = [file for file in path.parent.glob(wanted) if file.is_file() and file.stat().st_size <= FILE_MB * 1e6]
+    beside = [file for file in path.parent.glob(endings) if file.is_file() and file.stat().st_size <= FILE_MB * 1e6]
     return {file.name: file.read_bytes() for file in beside}
 
 
@@ -285,16 +285,16 @@ def _serve(answers: IO[bytes], seconds: int, gigabytes: float) -> None:
     for line in sys.stdin:
         signal.alarm(seconds)
         content = io.BytesIO()
-        said: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         try:
             parts = load_mesh(Path(json.loads(line)))
             arrays = {f"vertices {k}": vertices for k, (_, vertices, _) in enumerate(parts)}
             arrays |= {f"faces {k}": faces for k, (_, _, faces) in enumerate(parts)}
             np.savez(content, allow_pickle=False, **arrays)
-            said |= {"colours": [colour for colour, _, _ in parts], "bytes": len(content.getbuffer())}
+            fields |= {"colours": [colour for colour, _, _ in parts], "bytes": len(content.getbuffer())}
         except NotDrawable as error:
-            said |= {"why": str(error)}
-        answers.write(json.dumps(said).encode() + b"\n" + content.getbuffer())
+            fields |= {"why": str(error)}
+        answers.write(json.dumps(fields).encode() + b"\n" + content.getbuffer())
         answers.flush()
 
 

@@ -16,10 +16,10 @@ from typing import Any
 from aridcal.engine.robot.packages import called
 from aridcal.system.errors import RobotError, nearest, shortened
 
-SECONDS = 60
+LOOK_SECONDS = 60
 """To look into the cache: git is asked which version lies there, and answers in less than one."""
 
-LONGEST = 100
+LONGEST_NAME = 100
 """Characters of a robot's name: those that there are have 40 at the most."""
 
 ENDING = "_description"
@@ -51,13 +51,13 @@ def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
     """
     if not is_name(urdf):
         return Named(urdf, packages, arguments)
-    found = named_robot(str(urdf))
-    return Named(found.path, {**found.packages, **packages}, {**found.arguments, **arguments}, True)
+    robot = named_robot(str(urdf))
+    return Named(robot.path, {**robot.packages, **packages}, {**robot.arguments, **arguments}, True)
 
 
 def is_name(path: Path) -> bool:
     """Tell whether what a user gave for a URDF may be the name of a robot: one word without an ending, and no file."""
-    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST
+    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST_NAME
     return one_word and not path.exists()
 
 
@@ -75,37 +75,37 @@ def named_robot(name: str) -> Named:
     # git may use no protocol: what is not in the cache is not fetched
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "GIT_ALLOW_PROTOCOL": "none"}
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-P", "-m", __name__, name],
             capture_output=True,
             check=False,
             env=environment,
-            timeout=SECONDS,
+            timeout=LOOK_SECONDS,
         )
-        said: dict[str, Any] = json.loads(done.stdout)
+        answer: dict[str, Any] = json.loads(process.stdout)
     except (subprocess.TimeoutExpired, ValueError):
         raise RobotError(f"{shortened(name)}: robot_descriptions does not answer. Name a URDF by its file") from None
-    if "known" in said:
+    if "known" in answer:
         raise RobotError(
             f"{shortened(name)}: there is no such file, and no robot of that name in robot_descriptions"
-            f"{nearest(name, said['known'])}. `robot_descriptions list` names those that there are"
+            f"{nearest(name, answer['known'])}. `robot_descriptions list` names those that there are"
         )
-    full = said["name"]
-    if "why" in said:
+    full = answer["name"]
+    if "why" in answer:
         raise RobotError(
-            f"{full}: robot_descriptions has it {said['why']}. Take another one of its robots, or name a URDF"
+            f"{full}: robot_descriptions has it {answer['why']}. Take another one of its robots, or name a URDF"
         )
-    if "path" not in said:
+    if "path" not in answer:
         raise RobotError(
             f"{full}: is not in the cache of robot_descriptions, and nothing is downloaded unasked: "
             f"`robot_descriptions pull {full}` does that; then run this again"
         )
-    packages = {package: Path(place) for package, place in said["packages"].items()}
-    return Named(Path(said["path"]), packages, said["arguments"], True)
+    packages = {package: Path(place) for package, place in answer["packages"].items()}
+    return Named(Path(answer["path"]), packages, answer["arguments"], True)
 
 
 def _look(name: str) -> dict[str, Any]:
-    """Look for a description here and now: where it is, or what is known instead."""
+    """Look for a description here and now: where it is, or why it is not to be had, or the names of all that there are."""
     from robot_descriptions._descriptions import DESCRIPTIONS
     from robot_descriptions._repositories import REPOSITORIES
 
@@ -123,8 +123,8 @@ def _look(name: str) -> dict[str, Any]:
     except Exception:  # whatever git says when it may not fetch
         return {"name": full}
     path = getattr(module, "URDF_PATH", None) or getattr(module, "XACRO_PATH", "")
-    own = Path(module.PACKAGE_PATH)
-    packages = {called(own) or own.name: str(own)} | dict(getattr(module, "XACRO_PACKAGE_PATHS", {}))
+    folder = Path(module.PACKAGE_PATH)
+    packages = {called(folder) or folder.name: str(folder)} | dict(getattr(module, "XACRO_PACKAGE_PATHS", {}))
     arguments = {} if hasattr(module, "URDF_PATH") else dict(getattr(module, "XACRO_ARGS", {}))
     return {"name": full, "path": path, "packages": packages, "arguments": arguments}
 

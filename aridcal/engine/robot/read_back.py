@@ -25,11 +25,11 @@ from aridcal.system.errors import AridcalError, printable, shortened
 CONFIGURATIONS = 3
 """Random ones in which all links are compared: an origin that is wrong is wrong in each."""
 
-CLOSE = 1e-9
+TOLERANCE = 1e-9
 """[m] and [1] that links may differ by, in units of the largest distance where that is beyond a metre: products of matrices round
 by a thousandth of that."""
 
-REASON = 200
+LONGEST_REASON = 200
 """Characters of what a reader says of a file."""
 
 Places = Mapping[str, np.ndarray]
@@ -81,28 +81,30 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     """
     tree = read_tree(robot.urdf, robot.path)
     positions = _positions(tree, np.random.default_rng(0))
-    meant = link_places(tree, positions, origins)
-    fault = _fault(meant, lambda: _by_pinocchio(same_chain(robot, urdf).tree, positions, tree))
+    intended = link_places(tree, positions, origins)
+    fault = _fault(intended, lambda: _by_pinocchio(same_chain(robot, urdf).tree, positions, tree))
     if fault is not None:
         raise NotReadBack(file, "Pinocchio", fault)
 
     def second(content: bytes, places: Places) -> Fault | None:
         return _fault(places, lambda: _by_yourdfpy(content, positions))
 
-    fault = second(urdf, meant)
+    fault = second(urdf, intended)
     if fault is None:
         return ()
-    stated = link_places(tree, positions, {})
-    own = second(robot.urdf, stated)
-    if own is None:
+    nominal = link_places(tree, positions, {})
+    own_fault = second(robot.urdf, nominal)
+    if own_fault is None:
         raise NotReadBack(file, "yourdfpy", fault)
-    said = f"{robot.path.name}: yourdfpy {own.words}; URDFs that are written from it were read back by Pinocchio"
-    fault = second(_bare(urdf, robot.path), meant)
+    remark = (
+        f"{robot.path.name}: yourdfpy {own_fault.words}; URDFs that are written from it were read back by Pinocchio"
+    )
+    fault = second(_bare(urdf, robot.path), intended)
     if fault is None:
-        return (f"{said} and, without shapes and inertias, by yourdfpy",)
-    if second(_bare(robot.urdf, robot.path), stated) is None:
+        return (f"{remark} and, without shapes and inertias, by yourdfpy",)
+    if second(_bare(robot.urdf, robot.path), nominal) is None:
         raise NotReadBack(file, "yourdfpy", fault)
-    return (f"{said} alone",)
+    return (f"{remark} alone",)
 
 
 def link_places(
@@ -133,7 +135,7 @@ def link_places(
 
 
 def _motion(tree: UrdfTree, joint: str, positions: Mapping[str, np.ndarray], count: int) -> np.ndarray:
-    """What a joint does, shape (K, 4, 4)."""
+    """A joint's motion, shape (K, 4, 4)."""
     T = np.tile(np.eye(4), (count, 1, 1))
     if joint in tree.moves:
         axis, kind = tree.moves[joint]
@@ -147,14 +149,14 @@ def _motion(tree: UrdfTree, joint: str, positions: Mapping[str, np.ndarray], cou
 def _positions(tree: UrdfTree, rng: np.random.Generator) -> dict[str, np.ndarray]:
     """Random positions of all moving joints, shape (K,), [rad] or [m]; mimics follow their masters."""
     free = {name: rng.uniform(-1.0, 1.0, CONFIGURATIONS) for name in tree.moves}
-    found = {}
+    positions = {}
     for name in tree.moves:
         drive = tree.mimics.get(name, Drive({name: 1.0}))
-        moved = np.full(CONFIGURATIONS, drive.offset)
+        position = np.full(CONFIGURATIONS, drive.offset)
         for master, factor in drive.factors.items():
-            moved += factor * free.get(master, np.zeros(CONFIGURATIONS))
-        found[name] = moved
-    return found
+            position += factor * free.get(master, np.zeros(CONFIGURATIONS))
+        positions[name] = position
+    return positions
 
 
 def _by_pinocchio(model: pin.Model, positions: Mapping[str, np.ndarray], tree: UrdfTree) -> Places:
@@ -162,18 +164,18 @@ def _by_pinocchio(model: pin.Model, positions: Mapping[str, np.ndarray], tree: U
     data = model.createData()
     frames = {link: model.getFrameId(link, pin.FrameType.BODY) for link in tree.links}
     root = frames[next(link for link in tree.links if link not in tree.parent_of)]
-    found: dict[str, list[np.ndarray]] = {link: [] for link in frames}
+    places: dict[str, list[np.ndarray]] = {link: [] for link in frames}
     for k in range(CONFIGURATIONS):
         q = pin.neutral(model)
         for name, position in positions.items():
             joint = model.getJointId(name)
-            first, own = model.idx_qs[joint], position[k]
-            q[first : first + model.nqs[joint]] = own if model.nqs[joint] == 1 else [np.cos(own), np.sin(own)]
+            first, angle = model.idx_qs[joint], position[k]
+            q[first : first + model.nqs[joint]] = angle if model.nqs[joint] == 1 else [np.cos(angle), np.sin(angle)]
         pin.framesForwardKinematics(model, data, q)
         from_root = data.oMf[root].inverse()
         for link, frame in frames.items():
-            found[link].append((from_root * data.oMf[frame]).homogeneous)
-    return {link: np.array(each) for link, each in found.items()}
+            places[link].append((from_root * data.oMf[frame]).homogeneous)
+    return {link: np.array(each) for link, each in places.items()}
 
 
 def _by_yourdfpy(urdf: bytes, positions: Mapping[str, np.ndarray]) -> Places:
@@ -185,26 +187,26 @@ def _by_yourdfpy(urdf: bytes, positions: Mapping[str, np.ndarray]) -> Places:
         for link in parsed.links:
             link.visuals.clear()  # they were read; making them would take most of the time
         robot = URDF(parsed, build_scene_graph=True, load_meshes=False)
-        found: dict[str, list[np.ndarray]] = {link: [] for link in robot.link_map}
+        all_places: dict[str, list[np.ndarray]] = {link: [] for link in robot.link_map}
         for k in range(CONFIGURATIONS):
             robot.update_cfg({name: positions[name][k] for name in robot.actuated_joint_names if name in positions})
-            for link, places in found.items():
+            for link, places in all_places.items():
                 places.append(robot.get_transform(link, robot.base_link))
-    return {link: np.array(each) for link, each in found.items()}
+    return {link: np.array(each) for link, each in all_places.items()}
 
 
-def _fault(meant: Places, read: Callable[[], Places]) -> Fault | None:
+def _fault(intended: Places, reader: Callable[[], Places]) -> Fault | None:
     """What is wrong with what a reader makes of a file; None where all links are where they are meant to be."""
     try:
-        found = read()
+        places = reader()
     except Exception as error:  # whatever a library makes of a file that it does not like
-        return Fault(f"cannot read it ({shortened(printable(f'{type(error).__name__}: {error}'), REASON)})")
-    missing = [link for link in meant if link not in found]
+        return Fault(f"cannot read it ({shortened(printable(f'{type(error).__name__}: {error}'), LONGEST_REASON)})")
+    missing = [link for link in intended if link not in places]
     if missing:
         return Fault(f"has no link {shortened(missing[0])!r}", missing[0])
-    off = {link: float(np.max(np.abs(found[link] - T) / _size(T))) for link, T in meant.items()}
+    off = {link: float(np.max(np.abs(places[link] - T) / _size(T))) for link, T in intended.items()}
     worst = max(off, key=lambda link: off[link] if off[link] == off[link] else np.inf)
-    if off[worst] <= CLOSE:
+    if off[worst] <= TOLERANCE:
         return None
     return Fault(f"has link {shortened(worst)!r} elsewhere, by {off[worst]:.2g} m or rad", worst)
 

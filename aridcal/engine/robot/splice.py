@@ -15,7 +15,7 @@ from aridcal.system.errors import RobotError, nearest
 # Numbers of an origin that differ by less are the same, [m] or [rad]: some products of matrices round by that much.
 ROUNDING = 1e-14
 # A cosine of the pitch below this is rounding alone: roll and yaw turn about one axis, and only their sum is known.
-LOCKED = 1e-13
+LEAST_COSINE = 1e-13
 
 _ATTRIBUTE = re.compile(r"""\s+(?P<key>[^\s=]+)\s*=\s*(?P<quoted>"[^"]*"|'[^']*')""", re.ASCII)
 _LINE_START = re.compile(r"(\r\n|\n|\r)[ \t]*\Z")
@@ -70,16 +70,16 @@ def written_origins(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str,
         RobotError: as for :func:`splice_origins`.
     """
     joints = _Scan(urdf, placements).joints
-    found = {}
+    vectors = {}
     for name, placement in placements.items():
-        there = joints[name].origin if name in joints else {}
-        xyz, rpy = (_vector(there.get(key, "")) for key in ("xyz", "rpy"))
-        found[name] = without_rounding(placement.translation, xyz), rpy_near(placement.rotation, rpy)
-    return found
+        attributes = joints[name].origin if name in joints else {}
+        xyz, rpy = (_vector(attributes.get(key, "")) for key in ("xyz", "rpy"))
+        vectors[name] = without_rounding(placement.translation, xyz), rpy_near(placement.rotation, rpy)
+    return vectors
 
 
 def rpy_near(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
-    r"""The roll, pitch and yaw of a rotation that are nearest to given ones, shape (3,), [rad].
+    r"""The roll, pitch and yaw of a rotation that are nearest to others, shape (3,), [rad].
 
     Every rotation R = Rz(y) Ry(p) Rx(r) has two, (r, p, y) and (r + pi, pi - p, y + pi), and whole turns of each. From
     one roll follow
@@ -92,20 +92,20 @@ def rpy_near(rotation: np.ndarray, near: np.ndarray) -> np.ndarray:
         near: Roll, pitch and yaw, shape (3,), [rad].
     """
     R = rotation
-    if np.hypot(R[2, 1], R[2, 2]) > LOCKED:
+    if np.hypot(R[2, 1], R[2, 2]) > LEAST_COSINE:
         rolls = [np.arctan2(R[2, 1], R[2, 2])]
         rolls.append(rolls[0] + np.pi)
     else:  # share what is left of the turn between roll and yaw alike
         side = 1.0 if R[2, 0] < 0 else -1.0
-        left = _yaw(R, near[0]) - near[2]
-        rolls = [near[0] - side * (left - 2 * np.pi * np.round(left / (2 * np.pi))) / 2]
-    found = []
+        turn = _yaw(R, near[0]) - near[2]
+        rolls = [near[0] - side * (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / 2]
+    candidates = []
     for r in rolls:
         y = _yaw(R, r)
         p = np.arctan2(-R[2, 0], np.cos(y) * R[0, 0] + np.sin(y) * R[1, 0])
         angles = np.array([r, p, y])
-        found.append(angles - 2 * np.pi * np.round((angles - near) / (2 * np.pi)))
-    best = min(found, key=lambda angles: float(np.abs(angles - near).sum()))
+        candidates.append(angles - 2 * np.pi * np.round((angles - near) / (2 * np.pi)))
+    best = min(candidates, key=lambda angles: float(np.abs(angles - near).sum()))
     return without_rounding(best, near)
 
 
@@ -154,7 +154,7 @@ class _Scan:
         parser.StartElementHandler = self._start
         parser.EndElementHandler = self._end
         parser.CharacterDataHandler = self._text
-        parser.DefaultHandler = self._other
+        parser.DefaultHandler = self._markup
         try:
             parser.Parse(urdf, True)
         except (expat.ExpatError, ValueError, LookupError) as error:
@@ -165,8 +165,8 @@ class _Scan:
 
     def indent(self, joint: _Joint) -> str:
         """Line end and indentation before a joint's first child; empty if it does not start a line."""
-        found = _LINE_START.search(self.text(joint.start, joint.first_child))
-        return found.group() if found else ""
+        match = _LINE_START.search(self.text(joint.start, joint.first_child))
+        return match.group() if match else ""
 
     def _doctype(self, *_: object) -> None:
         raise RobotError("the URDF has a DOCTYPE: DTDs and entities are refused. Remove it.")
@@ -209,7 +209,7 @@ class _Scan:
         if text.strip():
             self.rest.append(("text", text))
 
-    def _other(self, markup: str) -> None:
+    def _markup(self, markup: str) -> None:
         """Comments, processing instructions, the declaration. A comment that starts a line can be a first child."""
         if len(self._path) == 2 and self._open and markup.startswith("<!--") and self._open[1].first_child < 0:
             joint = self._open[1]
@@ -257,10 +257,10 @@ def _edits(scan: _Scan, name: str, vectors: tuple[np.ndarray, np.ndarray]) -> It
 def _with_attribute(tag: str, key: str, value: str, quote: str) -> str:
     """Replace the value of an attribute in a text that begins with an ``<origin>`` tag, or add it after the others."""
     end = len("<origin")
-    while found := _ATTRIBUTE.match(tag, end):
-        end = found.end()
-        if found["key"] == key:
-            start, stop = found.span("quoted")
+    while match := _ATTRIBUTE.match(tag, end):
+        end = match.end()
+        if match["key"] == key:
+            start, stop = match.span("quoted")
             return tag[: start + 1] + value + tag[stop - 1 :]
     return f"{tag[:end]} {key}={quote}{value}{quote}{tag[end:]}"
 
@@ -268,7 +268,7 @@ def _with_attribute(tag: str, key: str, value: str, quote: str) -> str:
 def _reads_as(origin: Mapping[str, str], key: str, vector: np.ndarray) -> bool:
     """Whether an origin's attribute (absent: zeros) is three finite numbers, exactly those of a vector."""
     try:
-        read = [float(v) for v in origin.get(key, "0 0 0").split()]
+        values = [float(v) for v in origin.get(key, "0 0 0").split()]
     except ValueError:
         return False
-    return len(read) == 3 and bool(np.isfinite(read).all()) and np.array_equal(read, vector)
+    return len(values) == 3 and bool(np.isfinite(values).all()) and np.array_equal(values, vector)

@@ -115,12 +115,12 @@ def parse_xml(urdf: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(urdf, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
-        said = " ".join(str(getattr(error, "msg", None) or error).split())
-        raise RobotError(f"{path}: not well-formed XML: {said}. Mend the URDF, or name another one.") from None
+        reason = " ".join(str(getattr(error, "msg", None) or error).split())
+        raise RobotError(f"{path}: not well-formed XML: {reason}. Mend the URDF, or name another one.") from None
     if root.getroottree().docinfo.doctype:  # type: ignore[union-attr]
         raise RobotError(f"{path}: has a DOCTYPE: DTDs and entities are refused. Remove it from the URDF.")
-    if (other := OTHER_FORMATS.get(str(root.tag))) is not None:
-        raise RobotError(f"{path}: is {other}")
+    if (description := OTHER_FORMATS.get(str(root.tag))) is not None:
+        raise RobotError(f"{path}: is {description}")
     if root.tag != "robot":
         raise RobotError(f"{path}: the top element is <{shortened(str(root.tag))}>, not <robot>. Name a URDF")
     if any("xacro" in str(element.tag) for element in root):
@@ -197,9 +197,9 @@ def _parents(
     for name, element in joints.items():
         child, parent = _link(element, "child", links, path), _link(element, "parent", links, path)
         if child in parent_of:
-            other, joint = parent_of[child]
+            first, joint = parent_of[child]
             raise RobotError(
-                f"{path}: link {child!r} has two parents: {other!r} by joint {joint.get('name')!r} and {parent!r} by joint "
+                f"{path}: link {child!r} has two parents: {first!r} by joint {joint.get('name')!r} and {parent!r} by joint "
                 f"{name!r}: a URDF is a tree; delete one of these joints"
             )
         parent_of[child] = (parent, element)
@@ -215,8 +215,8 @@ def _parents(
         depth.update((each, start + k) for k, each in enumerate(reversed(above), start=1))
     roots = [link for link in links if link not in parent_of]
     if len(roots) > 1:
-        shown = ", ".join(map(repr, roots[:10])) + (" …" if len(roots) > 10 else "")
-        raise RobotError(f"{path}: the links {shown} have no parent: a URDF has one root; join them by fixed joints")
+        names = ", ".join(map(repr, roots[:10])) + (" …" if len(roots) > 10 else "")
+        raise RobotError(f"{path}: the links {names} have no parent: a URDF has one root; join them by fixed joints")
     deepest = max(depth, key=lambda link: depth[link], default="")
     if depth.get(deepest, 0) > MAX_DEPTH:
         raise RobotError(
@@ -239,8 +239,8 @@ def _loop(link: str, parent_of: Mapping[str, tuple[str, etree._Element]], path: 
 
 
 def _link(element: etree._Element, role: str, links: Mapping[str, None], path: Path) -> str:
-    found = element.find(role)
-    name = "" if found is None else found.get("link", "")
+    child = element.find(role)
+    name = "" if child is None else child.get("link", "")
     if name not in links:
         raise RobotError(
             f"{path}: joint {element.get('name')!r}: its {role} link {shortened(name)!r} is not in the file{nearest(name, links)}"
@@ -259,8 +259,8 @@ def _placement(origin: etree._Element, path: Path) -> pin.SE3:
 
 
 def _axis(element: etree._Element, path: Path) -> np.ndarray:
-    found = element.find("axis")
-    axis = np.array([1.0, 0.0, 0.0]) if found is None else numbers(found, "xyz", "1 0 0", 3, path)
+    child = element.find("axis")
+    axis = np.array([1.0, 0.0, 0.0]) if child is None else numbers(child, "xyz", "1 0 0", 3, path)
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
         raise RobotError(f"{path}: joint {element.get('name')!r}: its axis is zero: say about or along what it moves")
@@ -268,7 +268,7 @@ def _axis(element: etree._Element, path: Path) -> np.ndarray:
 
 
 def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, Drive]:
-    """What every ``<mimic>`` says."""
+    """The drive that each ``<mimic>`` states, its master not yet resolved."""
     direct: dict[str, Drive] = {}
     for name, element in joints.items():
         mimic = element.find("mimic")
@@ -291,12 +291,12 @@ def _followed(direct: Mapping[str, Drive], stated: Stated, path: Path) -> dict[s
     """
     where = "`<mimic>` or an entry of `robot.coupled`" if stated.coupled else "`<mimic>`"
     try:
-        found = resolved(direct)
+        drives = resolved(direct)
     except Loop as loop:
         raise RobotError(
             f"{path}: joint {loop.first!r} mimics itself, by way of {loop.by!r}: delete one {where}"
         ) from None
-    for name, drive in found.items():
+    for name, drive in drives.items():
         if not all(abs(number) <= LARGEST for number in (*drive.factors.values(), drive.offset)):
             raise RobotError(f"{path}: joint {name!r}: what it mimics multiplies beyond {LARGEST:g}: check {where}")
-    return found
+    return drives

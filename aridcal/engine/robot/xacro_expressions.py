@@ -113,8 +113,8 @@ def _checked(expression: str) -> ast.Expression:
         )
         name = next((getattr(node, key) or "" for key in ("id", "attr", "arg") if hasattr(node, key)), "")
         if not good or name.startswith("__"):
-            used = repr(name) if good else f"{type(node).__name__} of Python"
-            raise ValueError(f"the expression {shortened(expression)!r} uses {used}, which is not evaluated")
+            offender = repr(name) if good else f"{type(node).__name__} of Python"
+            raise ValueError(f"the expression {shortened(expression)!r} uses {offender}, which is not evaluated")
     return tree
 
 
@@ -134,10 +134,10 @@ def attribute(value: Any, name: str) -> Any:
         ValueError: values of this type are not asked for it.
     """
     kind = value if isinstance(value, type) else type(value)
-    known = next((METHODS[base] for base in kind.__mro__ if base in METHODS), frozenset())
+    methods = next((METHODS[base] for base in kind.__mro__ if base in METHODS), frozenset())
     if name == "format" and isinstance(value, str):
         return lambda *args, **named: _Formatter().vformat(value, args, named)
-    if name in known and name != "format":
+    if name in methods and name != "format":
         return getattr(value, name)
     if isinstance(value, dict) and (dotted := getattr(kind, "__getattr__", None)) is not None:
         return dotted(value, name)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.effect import FRAMES
 from aridcal.engine.fit.constants import is_zero, origins_of, urdf_of
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.read_back import CLOSE, CONFIGURATIONS, Fault, NotReadBack, link_places, read_back
+from aridcal.engine.robot.read_back import CONFIGURATIONS, TOLERANCE, Fault, NotReadBack, link_places, read_back
 from aridcal.engine.robot.tree import read_tree
 
 
@@ -56,6 +56,6 @@ def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str
         R, p = arm.poses(theta[own], arm.rows(readings[:, robot.columns_of(limb)]))
         T = np.linalg.inv(places[limb.base]) @ places[limb.tip]
         off = max(float(np.abs(T[:, :3, :3] - R).max()), float(np.abs(T[:, :3, 3] - p).max()))
-        if not off <= CLOSE * max(1.0, float(np.abs(p).max())):
+        if not off <= TOLERANCE * max(1.0, float(np.abs(p).max())):
             fault = Fault(f"has link {limb.tip!r} elsewhere, by {off:.2g} m or rad", limb.tip)
             raise NotReadBack(file, "the model", fault)
