@@ -11,7 +11,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.inverse.one_pose import FINEST, InverseKinematics
+from aridcal.engine.inverse.one_pose import FINEST_NOISE, InverseKinematics
 from aridcal.engine.inverse.one_row import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
@@ -63,7 +63,7 @@ def test_the_whole_model_puts_the_target_where_it_was_wanted(robot: Robot, share
     off = np.linalg.norm(p_found - p, axis=1)
     turned = np.linalg.norm([pin.log3(a @ b.T) for a, b in zip(R_found, R, strict=True)], axis=1)
     assert all(c.reached for c in found)
-    assert max(off.max(), turned.max()) < FINEST
+    assert max(off.max(), turned.max()) < FINEST_NOISE
     np.testing.assert_allclose([c.position_error for c in found], off, rtol=0, atol=1e-12)
     np.testing.assert_allclose([c.rotation_error for c in found], turned, rtol=0, atol=1e-10)
     low, high = robot.limits.T
@@ -118,7 +118,7 @@ def test_positions_alone_leave_the_orientation_free() -> None:
     for row, wanted in zip(q, p, strict=True):
         found = inverse.command(np.full((3, 3), np.nan), wanted, row + 0.1, {})
         assert found.reached and np.isnan(found.rotation_error)
-        assert found.position_error < FINEST
+        assert found.position_error < FINEST_NOISE
         assert np.abs(found.readings - row - 0.1).max() < 0.2
 
 

@@ -17,23 +17,23 @@ from typing import NamedTuple
 import numpy as np
 
 from aridcal.engine.instruments.pose import rotation_vector
-from aridcal.engine.inverse.one_pose import FIRST, LAST, TINY
+from aridcal.engine.inverse.one_pose import FIRST_DAMPING, LAST_DAMPING, SINGULAR_DAMPING
 from aridcal.engine.model.model import Model
 
-ENDED = 1e-10
+POSE_TOLERANCE = 1e-10
 """[m]: a target that is nearer is there: a hundredth of the finest digit that programs write, and far above rounding."""
 
-TURN = 1.0
+LARGEST_TURN = 1.0
 """The most that a joint turns in one step, [rad]: of random starts more come to a pose than with half of it, or twice."""
 
-PATIENCE = 12
+STEPS_TO_HALVE = 12
 """Steps in which an error must be halved, or the search has come to nothing: four of five random starts come to a pose, and
 hardly more with twice the patience."""
 
-STEPS = 18
+MOST_STEPS = 18
 """The most there are in one search: with a third more hardly another start comes to its pose."""
 
-AT_ONCE = 4_000
+ROWS_AT_ONCE = 4_000
 """Rows that are worked on together, so that all of them stay in the cache and memory stays flat."""
 
 
@@ -95,78 +95,80 @@ class InverseRows:
     lever: float
 
     def error(
-        self, wanted: np.ndarray, readings: np.ndarray, covariates: Mapping[str, np.ndarray]
+        self, poses: np.ndarray, readings: np.ndarray, covariates: Mapping[str, np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray]:
         """How far rows are from wanted poses (n, 4, 4), shape (n, 6), and what the readings take from it, (n, 6, columns)."""
         R, p, J = self.arm.looks(readings, covariates)
         e = np.empty((len(readings), 6))
-        e[:, :3] = wanted[:, :3, 3] - p
-        e[:, 3:] = self.lever * rotation_vector(wanted[:, :3, :3] @ R.transpose(0, 2, 1))
+        e[:, :3] = poses[:, :3, 3] - p
+        e[:, 3:] = self.lever * rotation_vector(poses[:, :3, :3] @ R.transpose(0, 2, 1))
         J[:, 3:] *= self.lever
         return e, J
 
     def approach(
         self,
-        wanted: np.ndarray,
+        poses: np.ndarray,
         seeds: np.ndarray,
-        held: np.ndarray,
+        fixed: np.ndarray,
         covariates: Mapping[str, np.ndarray],
-        steps: int = STEPS,
+        steps: int = MOST_STEPS,
     ) -> Approached:
         """Search for each row, from a seed.
 
         Args:
-            wanted: Poses of the target, shape (n, 4, 4).
+            poses: Poses of the target, shape (n, 4, 4).
             seeds: Readings to start from, shape (n, columns).
-            held: Readings that stay, shape (n, columns), NaN where they do not.
+            fixed: Readings that stay, shape (n, columns), NaN where they do not.
             covariates: What effects depend on, shape (n,) each.
             steps: The most there are; none to look at the seeds alone.
         """
         parts = []
-        for start in range(0, max(len(seeds), 1), AT_ONCE):
-            part = slice(start, start + AT_ONCE)
-            own = {name: values[part] for name, values in covariates.items()}
-            parts.append(self._approach(wanted[part], seeds[part], held[part], own, steps))
+        for start in range(0, max(len(seeds), 1), ROWS_AT_ONCE):
+            part = slice(start, start + ROWS_AT_ONCE)
+            conditions = {name: values[part] for name, values in covariates.items()}
+            parts.append(self._approach(poses[part], seeds[part], fixed[part], conditions, steps))
         return Approached(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _approach(
         self,
-        wanted: np.ndarray,
+        poses: np.ndarray,
         seeds: np.ndarray,
-        held: np.ndarray,
+        fixed: np.ndarray,
         covariates: Mapping[str, np.ndarray],
         steps: int,
     ) -> Approached:
-        low, high = (np.where(np.isnan(held), limit, held) for limit in (self.low, self.high))
+        low, high = (np.where(np.isnan(fixed), limit, fixed) for limit in (self.low, self.high))
         q = np.clip(seeds, low, high)
-        e, J = self.error(wanted, q, covariates)
-        found = Approached(q.copy(), e.copy(), J.copy())
+        e, J = self.error(poses, q, covariates)
+        result = Approached(q.copy(), e.copy(), J.copy())
         size = np.einsum("ni,ni->n", e, e)
-        rows = np.flatnonzero(size >= ENDED**2)  # those that are still under way
+        rows = np.flatnonzero(size >= POSE_TOLERANCE**2)  # those that are still under way
         q, e, J, size, damping = q[rows], e[rows], J[rows], size[rows], np.zeros(len(rows))
         earlier = size.copy()
         for step_number in range(1, steps + 1 if len(rows) else 1):
             step = self._steps(J, e, q, damping, low[rows], high[rows])
-            e_trial, J_trial = self.error(wanted[rows], q + step, {k: v[rows] for k, v in covariates.items()})
+            e_trial, J_trial = self.error(poses[rows], q + step, {k: v[rows] for k, v in covariates.items()})
             trial = np.einsum("ni,ni->n", e_trial, e_trial)
             better = trial < size
             promised = np.einsum("nij,nj->ni", J, step)
-            idle = (damping == 0.0) & (np.einsum("ni,ni->n", promised, promised) < ENDED**2)
+            idle = (damping == 0.0) & (np.einsum("ni,ni->n", promised, promised) < POSE_TOLERANCE**2)
             q, e = np.where(better[:, None], q + step, q), np.where(better[:, None], e_trial, e)
             J[better], size = J_trial[better], np.where(better, trial, size)
-            damping = np.where(better, np.where(damping < FIRST, 0.0, damping / 10), np.maximum(10 * damping, FIRST))
-            ended = idle | (size < ENDED**2) | (damping > LAST)
-            if step_number % PATIENCE == 0:
+            damping = np.where(
+                better, np.where(damping < FIRST_DAMPING, 0.0, damping / 10), np.maximum(10 * damping, FIRST_DAMPING)
+            )
+            ended = idle | (size < POSE_TOLERANCE**2) | (damping > LAST_DAMPING)
+            if step_number % STEPS_TO_HALVE == 0:
                 ended |= size > earlier / 4
                 earlier = size.copy()
             if ended.any() or step_number == steps:
-                for whole, some in zip(found, (q, e, J), strict=True):
-                    whole[rows] = some
+                for of_all, some in zip(result, (q, e, J), strict=True):
+                    of_all[rows] = some
                 on = ~ended
                 rows, q, e, J, damping, size, earlier = (a[on] for a in (rows, q, e, J, damping, size, earlier))
                 if not len(rows):
                     break
-        return found
+        return result
 
     def _steps(
         self, J: np.ndarray, e: np.ndarray, q: np.ndarray, damping: np.ndarray, low: np.ndarray, high: np.ndarray
@@ -178,8 +180,8 @@ class InverseRows:
         met = stopped.any(axis=1)
         if met.any():  # what stands at a limit stays there while the others go on
             step[met] = shortest(J[met] * (free & ~stopped)[met][:, None], e[met], damping[met])
-        fastest = np.abs(step[:, self.turning]).max(axis=1, initial=TURN)
-        return np.asarray(np.clip(q + step * (TURN / fastest)[:, None], low, high) - q)
+        fastest = np.abs(step[:, self.turning]).max(axis=1, initial=LARGEST_TURN)
+        return np.asarray(np.clip(q + step * (LARGEST_TURN / fastest)[:, None], low, high) - q)
 
 
 def shortest(J: np.ndarray, e: np.ndarray, damping: np.ndarray) -> np.ndarray:
@@ -198,7 +200,7 @@ def shortest(J: np.ndarray, e: np.ndarray, damping: np.ndarray) -> np.ndarray:
             A, b = J[some], e[some]
             back = A.transpose(0, 2, 1)
             H = back @ A if few else A @ back
-            H[:, range(H.shape[1]), range(H.shape[1])] += (damping[some] + TINY)[:, None]
+            H[:, range(H.shape[1]), range(H.shape[1])] += (damping[some] + SINGULAR_DAMPING)[:, None]
             right = (back @ b[:, :, None]) if few else b[:, :, None]
             solved = np.linalg.solve(H, right)
             step[some] = (solved if few else back @ solved)[:, :, 0]

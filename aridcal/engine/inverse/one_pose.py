@@ -14,38 +14,38 @@ from scipy.linalg.lapack import dposv
 from aridcal.engine.inverse.one_row import OneRowModel
 
 # A search ends when its last step moves the target by less, [m] and [rad]: a tenth of what counts as reached.
-SETTLED = 1e-7
+STEP_TOLERANCE = 1e-7
 
 # A pose is reached if the model misses it by less than the noise, or than that, [m] and [rad]: no arm repeats
 # better.
-FINEST = 1e-6
+FINEST_NOISE = 1e-6
 
 # What an arm of fewer joints than the pose has numbers may miss of a pose meant for it, [m] and [rad].
-UNAVOIDABLE = 2e-2
+MOST_UNAVOIDABLE = 2e-2
 
 # Effects are taken into account once the target is as near as that, [m] and [rad]: they move it by less.
-NEARBY = 1e-2
+EFFECTS_WITHIN = 1e-2
 
 # The most that a joint turns in one step, [rad]: so far the Jacobian still says where the target goes.
-TURN = 0.5
+LARGEST_TURN = 0.5
 
 # How far from the seed further starts are, [rad] or [m], and how many there are.
 KICK, KICKS = 0.05, 4
 
 # The most there are in one search; Newton's method takes five or so where it works at all.
-STEPS = 40
+MOST_STEPS = 40
 
 # A step that shortens the way (squared) by no larger share is the last of a search that is stuck.
-PROGRESS = 5e-2
+LEAST_PROGRESS = 5e-2
 
 # Damping of Levenberg and Marquardt: what it starts with, and beyond which the search goes on otherwise.
-FIRST, LAST = 1e-6, 1e3
+FIRST_DAMPING, LAST_DAMPING = 1e-6, 1e3
 
 # Damping that only keeps a singular arm's step finite.
-TINY = 1e-13
+SINGULAR_DAMPING = 1e-13
 
 # For differences, [rad] or [m].
-SMALL = 1e-6
+DIFFERENCE = 1e-6
 
 
 class Phase(Enum):
@@ -63,7 +63,7 @@ class Command:
     Attributes:
         readings: Shape (columns,), in the order of ``robot.readings``, [rad] or [m].
         position_error: How far from the wanted position the model says that the target will be, [m].
-        rotation_error: The same of its rotation, [rad]; NaN where only a position is wanted.
+        rotation_error: How far from the wanted rotation, [rad]; NaN where only a position is wanted.
         reached: True if they bring the target there: within the noise (per axis) of the measurements behind the model,
             or, of a robot with fewer joints than the pose has numbers, as near as it can get, within 20 mm and 20 mrad.
     """
@@ -81,7 +81,7 @@ class Command:
 
 @dataclass(frozen=True)
 class InverseKinematics:
-    """A calibrated robot with the limits of its joints, to be told where to go.
+    """Inverse kinematics of a calibrated robot within the limits of its joints.
 
     Attributes:
         model: What the robot does, effects and all.
@@ -130,12 +130,12 @@ class InverseKinematics:
         """
         best = self._approach(R, p, seed, covariates)
         moving = int(self.model.moves.sum())
-        if moving >= (6 if self.pose else 3) and FINEST < best.miss < NEARBY:
+        if moving >= (6 if self.pose else 3) and FINEST_NOISE < best.miss < EFFECTS_WITHIN:
             rng = np.random.default_rng(0)
             for kick in np.zeros((KICKS, len(seed))):
                 kick[self.model.moves] = KICK * rng.standard_normal(moving)
                 best = min(best, self._approach(R, p, seed + kick, covariates), key=lambda c: c.miss)
-                if best.miss < FINEST:
+                if best.miss < FINEST_NOISE:
                     break
         return best
 
@@ -144,27 +144,27 @@ class InverseKinematics:
         phase, damping = Phase.FAR, 0.0
         e, J = self._look(R, p, q, covariates, phase)
         lean = self.model.moves.sum() < len(e)
-        for _ in range(STEPS):
+        for _ in range(MOST_STEPS):
             size = float(e @ e)
-            if phase is Phase.FAR and size < NEARBY**2:
+            if phase is Phase.FAR and size < EFFECTS_WITHIN**2:
                 phase = Phase.NEAR
                 e, J = self._look(R, p, q, covariates, phase)
                 size = float(e @ e)
             step = self._step(J, e, q, damping)
             promised = J @ step
-            settled = damping == 0.0 and float(promised @ promised) < SETTLED**2
+            settled = damping == 0.0 and float(promised @ promised) < STEP_TOLERANCE**2
             shorter = 1.0
             if not settled:
                 e_trial, J_trial = self._look(R, p, q + step, covariates, phase)
                 shorter = float(e_trial @ e_trial) / size
             if shorter < 1.0:
                 q, e, J = q + step, e_trial, J_trial
-                damping = 0.0 if damping < FIRST else damping / 10
-                if phase is not Phase.FAR and shorter * size < SETTLED**2:
+                damping = 0.0 if damping < FIRST_DAMPING else damping / 10
+                if phase is not Phase.FAR and shorter * size < STEP_TOLERANCE**2:
                     break
-                if phase is not Phase.STUCK or shorter < 1.0 - PROGRESS:
+                if phase is not Phase.STUCK or shorter < 1.0 - LEAST_PROGRESS:
                     continue
-            exhausted = settled or damping > LAST
+            exhausted = settled or damping > LAST_DAMPING
             if phase is Phase.STUCK and (exhausted or shorter < 1.0):
                 break
             if phase is Phase.NEAR and settled and lean:
@@ -173,10 +173,10 @@ class InverseKinematics:
                 phase, damping = Phase.NEAR if phase is Phase.FAR else Phase.STUCK, 0.0
                 e, J = self._look(R, p, q, covariates, phase)
             else:
-                damping = max(10 * damping, FIRST)
+                damping = max(10 * damping, FIRST_DAMPING)
         position = float(np.linalg.norm(e[:3]))
         rotation = float(np.linalg.norm(e[3:])) / self.lever
-        allowed = [UNAVOIDABLE if lean else max(sigma, FINEST) for sigma in self.noise]
+        allowed = [MOST_UNAVOIDABLE if lean else max(sigma, FINEST_NOISE) for sigma in self.noise]
         reached = phase is not Phase.FAR and position < allowed[0] and (rotation < allowed[1] or not self.pose)
         return Command(q, position, rotation if self.pose else float("nan"), reached)
 
@@ -186,8 +186,8 @@ class InverseKinematics:
         """The error and its Jacobian, with the effects as a phase of the search sees them; see :meth:`error`."""
         e, J = self.error(R, p, q, None if phase is Phase.FAR else covariates)
         if phase is Phase.STUCK:
-            moved = [self.error(R, p, q + column, covariates)[0] for column in SMALL * np.eye(len(q))]
-            J = np.asarray((e - np.array(moved)).T / SMALL)
+            errors = [self.error(R, p, q + column, covariates)[0] for column in DIFFERENCE * np.eye(len(q))]
+            J = np.asarray((e - np.array(errors)).T / DIFFERENCE)
         return e, J
 
     def error(
@@ -206,12 +206,12 @@ class InverseKinematics:
             what the readings take from it, shape (6, columns) or (3, columns).
         """
         model = self.model
-        here, at, J = model.jacobian(q, model.still if covariates is None else model.effects(q, covariates))
+        rotation, at, J = model.jacobian(q, model.still if covariates is None else model.effects(q, covariates))
         if not self.pose:
             return p - at, J[:3]
         e = np.empty(6)
         e[:3] = p - at
-        e[3:] = self.lever * pin.log3(R @ here.T)
+        e[3:] = self.lever * pin.log3(R @ rotation.T)
         J[3:] *= self.lever
         return e, J
 
@@ -220,7 +220,7 @@ class InverseKinematics:
         step = np.zeros(len(q))
         step[self._moving] = _solve(J[:, self._moving], e, damping)
         fastest = max(np.abs(step[self.turning]), default=0.0)
-        shorter = TURN / fastest if fastest > TURN else 1.0
+        shorter = LARGEST_TURN / fastest if fastest > LARGEST_TURN else 1.0
         trial = q + shorter * step
         inside = np.minimum(np.maximum(trial, self.low), self.high)
         stopped = inside != trial
@@ -246,8 +246,8 @@ def _solve(J: np.ndarray, e: np.ndarray, damping: float) -> np.ndarray:
     rows, columns = J.shape
     if columns < rows:
         H = J.T @ J
-        H.flat[:: columns + 1] += damping + TINY
+        H.flat[:: columns + 1] += damping + SINGULAR_DAMPING
         return np.asarray(dposv(H, J.T @ e)[1])
     H = J @ J.T
-    H.flat[:: rows + 1] += damping + TINY
+    H.flat[:: rows + 1] += damping + SINGULAR_DAMPING
     return np.asarray(J.T @ dposv(H, e)[1])

@@ -102,8 +102,8 @@ class OneRowModel:
         self.still[locked.own] = self._offsets[locked.joints]
 
         at_tip = target or station
-        here = [c.station in (None, at_tip if c.where == "tip_target" else station) for c in model.coefficients]
-        free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and here[k]]
+        acting = [c.station in (None, at_tip if c.where == "tip_target" else station) for c in model.coefficients]
+        free = [k for k, c in enumerate(model.coefficients) if locked.carrier[k] >= 0 and acting[k]]
         bases = {k: model.coefficients[k].basis for k in free}
         for k in free:
             if bases[k].always:
@@ -118,9 +118,9 @@ class OneRowModel:
 
         loads = [n for n in names if n not in robot.names and is_load(n)]
         places = [n for n in names if n in TARGET]
-        measured = [n for n in names if n not in robot.names and n not in (*loads, *places)]
+        columns = [n for n in names if n not in robot.names and n not in (*loads, *places)]
         self._joints = [(place[n], robot.names.index(n)) for n in names if n in robot.names]
-        self._measured = [(place[n], n) for n in measured]
+        self._columns = [(place[n], n) for n in columns]
         gravity = _at(station, model.world_base, np.atleast_2d(model.around.gravity))
         around = replace(model.around, gravity=gravity)
         of_loads = _LoadsOfArrays if robot.climbs else _Loads
@@ -139,11 +139,11 @@ class OneRowModel:
                 _, step = basis.numbers
                 families.setdefault((int(self._carrier[k]), place[basis.of[0]], step), []).append(k)
         curves = []
-        for (joint, of, step), own in families.items():
-            centres = np.array([bases[k].numbers[0] for k in own])
+        for (joint, of, step), members in families.items():
+            centres = np.array([bases[k].numbers[0] for k in members])
             if _even(centres, step):
-                curves.append(_curve(joint, of, centres, step, theta[own]))
-                for k in own:
+                curves.append(_curve(joint, of, centres, step, theta[members]))
+                for k in members:
                     del bases[k]
         return curves
 
@@ -151,12 +151,12 @@ class OneRowModel:
         """Gather bases by their form."""
         terms = []
         for form in dict.fromkeys(basis.form for basis in bases.values()):
-            own = [k for k, basis in bases.items() if basis.form == form]
-            count = len(own)
+            members = [k for k, basis in bases.items() if basis.form == form]
+            count = len(members)
             spread = np.zeros((self._size, count))
-            spread[self._carrier[own], np.arange(count)] = theta[own]
-            covariates = np.array([[place[name] for name in bases[k].of] for k in own])
-            numbers = np.array([bases[k].numbers for k in own]).reshape(count, -1)
+            spread[self._carrier[members], np.arange(count)] = theta[members]
+            covariates = np.array([[place[name] for name in bases[k].of] for k in members])
+            numbers = np.array([bases[k].numbers for k in members]).reshape(count, -1)
             terms.append(_Term(FORMS[form].value, list(covariates.T), tuple(numbers.T), spread))
         return terms
 
@@ -180,7 +180,7 @@ class OneRowModel:
         for k, joint in self._joints:
             z[k] = positions[joint]
         try:
-            for k, name in self._measured:
+            for k, name in self._columns:
                 z[k] = covariates[name] if name not in self._absent else covariates.get(name, self._absent[name])
             if self._loads:
                 self._loads.fill(z, readings, covariates)
@@ -191,12 +191,12 @@ class OneRowModel:
             ) from None
         if self._place:
             self._place.fill(z, readings)
-        moved = self.still.copy()
+        coordinates = self.still.copy()
         for curve in self._curves:
-            moved[curve.joint] += curve.value(float(z[curve.of]))
+            coordinates[curve.joint] += curve.value(float(z[curve.of]))
         for term in self._terms:
-            moved += term.spread @ term.value([z[of] for of in term.of], term.numbers)
-        return moved
+            coordinates += term.spread @ term.value([z[of] for of in term.of], term.numbers)
+        return coordinates
 
     def pose(self, readings: np.ndarray, effects: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """T_world_target: rotation (3, 3) and position (3,) in [m]."""
@@ -244,8 +244,8 @@ def _curve(joint: int, of: int, centres: np.ndarray, step: float, theta: np.ndar
 
 
 def _at(label: str | None, frames: Frames, values: np.ndarray) -> np.ndarray:
-    """Of values for all frames, or of the only one, that of the frame with a label."""
-    return np.asarray(values[[own for own, _ in frames].index(label) if len(values) > 1 else 0])
+    """The value of the frame with a label, from those of all frames, or from the one for all."""
+    return np.asarray(values[[name for name, _ in frames].index(label) if len(values) > 1 else 0])
 
 
 class _Driven(NamedTuple):
@@ -315,7 +315,7 @@ class _Loads(_Tree):
         wanted: For each load: where it goes among the covariates, and its name.
     """
 
-    def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
+    def __init__(self, robot: Robot, around: Surroundings, slots: list[tuple[int, str]]) -> None:
         super().__init__(robot)
         tree = self._tree
         pin.framesForwardKinematics(tree, self._data, self._q)
@@ -329,7 +329,7 @@ class _Loads(_Tree):
         self._along: list[tuple[int, int]] = []
         self._across: list[tuple[int, int, np.ndarray]] = []
         self._payload: list[tuple[int, int, int]] = []
-        for place, name in wanted:
+        for place, name in slots:
             joint, kind = name.rsplit(".", 1)
             k = tree.getJointId(joint)
             if kind == "gravity_torque":
@@ -365,23 +365,25 @@ class _Loads(_Tree):
                 push = covariates[each.name] * self._gravity
                 pulls.append((each.bearing, push, np.cross(data.oMi[each.joint].act(each.lever), push)))
             for place, joint, k in self._payload:
-                borne = [data.J[:3, k] @ push + data.J[3:, k] @ turn for own, push, turn in pulls if joint in own]
+                borne = [
+                    data.J[:3, k] @ push + data.J[3:, k] @ turn for bearing, push, turn in pulls if joint in bearing
+                ]
                 z[place] = sum(borne)
 
 
 class _LoadsOfArrays:
-    """The same where joints move the base, whose gravity Pinocchio's recursion, which starts at the root, does not know."""
+    """Loads where joints move the base, whose gravity Pinocchio's recursion, which starts at the root, does not know."""
 
-    def __init__(self, robot: Robot, around: Surroundings, wanted: list[tuple[int, str]]) -> None:
-        self._robot, self._around, self._wanted = robot, around, wanted
+    def __init__(self, robot: Robot, around: Surroundings, slots: list[tuple[int, str]]) -> None:
+        self._robot, self._around, self._slots = robot, around, slots
 
     def fill(self, z: np.ndarray, readings: np.ndarray, covariates: Mapping[str, float]) -> None:
         """Write the loads into the covariates z."""
-        measured = {name: np.array([covariates[name]]) for name in self._around.masses if name in covariates}
-        names = {name for _, name in self._wanted}
+        columns = {name: np.array([covariates[name]]) for name in self._around.masses if name in covariates}
+        names = {name for _, name in self._slots}
         world = np.zeros(1, dtype=int)
-        table = covariate_table(self._robot, readings[None], measured, self._around, world, names)
-        for place, name in self._wanted:
+        table = covariate_table(self._robot, readings[None], columns, self._around, world, names)
+        for place, name in self._slots:
             z[place] = table[name][0]
 
 
@@ -394,10 +396,10 @@ class _Place(_Tree):
         wanted: For each coordinate that is asked for: where it goes among the covariates, and its number.
     """
 
-    def __init__(self, robot: Robot, target: np.ndarray, wanted: list[tuple[int, int]]) -> None:
+    def __init__(self, robot: Robot, target: np.ndarray, slots: list[tuple[int, int]]) -> None:
         super().__init__(robot)
         self._base, self._tip = _link(robot, robot.base), _link(robot, robot.tip)
-        self._target, self._wanted = target, wanted
+        self._target, self._slots = target, slots
 
     def fill(self, z: np.ndarray, readings: np.ndarray) -> None:
         """Write the coordinates into the covariates z."""
@@ -406,7 +408,7 @@ class _Place(_Tree):
         pin.forwardKinematics(tree, data, self._q)
         base, tip = (pin.updateFramePlacement(tree, data, frame) for frame in (self._base, self._tip))
         place = base.actInv(tip.act(self._target))
-        for k, number in self._wanted:
+        for k, number in self._slots:
             z[k] = place[number]
 
 

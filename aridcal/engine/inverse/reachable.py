@@ -16,26 +16,26 @@ Pose = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 Miss = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 """Rotations and positions of the targets of some rows, and their numbers, to how far each is from where it must be, (n, k)."""
 
-INSIDE = 0.02
+FREE_SHARE = 0.02
 """Share of each joint's range that is left free at either end: effects move the readings a little further, controllers refuse
 what lies beyond a limit and slow down before it, and cables are strained there."""
 
-STEPS, ROUNDS = 30, 60
+MOST_STEPS, MOST_ROUNDS = 30, 60
 """Newton steps towards a place, and how often rows that have not come there start anew from other readings."""
 
 TRIED_AT_ONCE = 8
 """Random postures of which the nearest to its place is a row's start."""
 
-TURN = 0.4
+LARGEST_STEP = 0.4
 """The most that a joint moves in one step, [rad] or [m], as far as the linear model holds."""
 
 DAMPING = 1e-9
 """[m²/rad²]: keeps the step of a stretched arm finite."""
 
-SMALL = 1e-5
+DIFFERENCE = 1e-5
 """[rad] or [m]: for differences."""
 
-THERE = 1e-9
+PLACE_TOLERANCE = 1e-9
 """[m]: nearer than that the arm has come."""
 
 
@@ -46,9 +46,9 @@ def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
 
 
 def off_the_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
-    """The same a share :data:`INSIDE` of each range nearer to its middle."""
+    """Lowest and highest readings, each a share :data:`FREE_SHARE` of its range nearer to the middle; see :func:`limits_of`."""
     low, high = limits_of(robot)
-    margin = INSIDE * (high - low)
+    margin = FREE_SHARE * (high - low)
     return low + margin, high - margin
 
 
@@ -80,27 +80,27 @@ def brought(
         CampaignError: some rows cannot be reached.
     """
     low, high = off_the_limits(robot)
-    found = np.empty((n, len(low)))
-    left = np.arange(n)
-    for _ in range(ROUNDS):
-        readings = _nearest(robot, pose, miss, left, rng)
-        for _ in range(STEPS):
-            step, off = _step(pose, miss, readings, left)
-            there = (off < THERE) & ((readings >= low) & (readings <= high)).all(axis=1)
-            found[left[there]] = readings[there]
-            left, readings = left[~there], np.clip((readings + step)[~there], low, high)
-            if not len(left):
-                return found
+    arrived = np.empty((n, len(low)))
+    rows = np.arange(n)
+    for _ in range(MOST_ROUNDS):
+        readings = _nearest(robot, pose, miss, rows, rng)
+        for _ in range(MOST_STEPS):
+            step, off = _step(pose, miss, readings, rows)
+            close = (off < PLACE_TOLERANCE) & ((readings >= low) & (readings <= high)).all(axis=1)
+            arrived[rows[close]] = readings[close]
+            rows, readings = rows[~close], np.clip((readings + step)[~close], low, high)
+            if not len(rows):
+                return arrived
     raise CampaignError(
-        f"{place}: {len(left)} of {n} rows cannot be measured: the arm does not reach the places that they refer to; {advice}"
+        f"{place}: {len(rows)} of {n} rows cannot be measured: the arm does not reach the places that they refer to; {advice}"
     )
 
 
 def _nearest(robot: Robot, pose: Pose, miss: Miss, rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """For each row that one of some random postures which misses least, shape (rows, columns)."""
-    tried = [draw_readings(robot, len(rows), rng) for _ in range(TRIED_AT_ONCE)]
-    off = [np.linalg.norm(miss(*pose(readings, rows), rows), axis=1) for readings in tried]
-    return np.asarray(np.array(tried)[np.argmin(off, axis=0), np.arange(len(rows))])
+    drawn = [draw_readings(robot, len(rows), rng) for _ in range(TRIED_AT_ONCE)]
+    off = [np.linalg.norm(miss(*pose(readings, rows), rows), axis=1) for readings in drawn]
+    return np.asarray(np.array(drawn)[np.argmin(off, axis=0), np.arange(len(rows))])
 
 
 def settled(pose: Pose, miss: Miss, readings: np.ndarray, steps: int) -> np.ndarray:
@@ -126,9 +126,9 @@ def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tup
 
     e = off(readings)
     J = np.empty((*e.shape, readings.shape[1]))
-    for k, shift in enumerate(SMALL * np.eye(readings.shape[1])):
-        J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * SMALL)
+    for k, shift in enumerate(DIFFERENCE * np.eye(readings.shape[1])):
+        J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * DIFFERENCE)
     H = J @ J.transpose(0, 2, 1) + DAMPING * np.eye(e.shape[1])
     step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
     longest = np.abs(step).max(axis=1, keepdims=True)
-    return step * np.minimum(1.0, TURN / np.maximum(longest, 1e-300)), np.linalg.norm(e, axis=1)
+    return step * np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300)), np.linalg.norm(e, axis=1)

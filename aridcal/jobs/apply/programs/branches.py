@@ -15,8 +15,8 @@ from itertools import combinations
 
 import numpy as np
 
-from aridcal.engine.inverse.many_poses import AT_ONCE, STEPS, Approached, ArmRows, InverseRows
-from aridcal.engine.inverse.one_pose import UNAVOIDABLE, InverseKinematics
+from aridcal.engine.inverse.many_poses import MOST_STEPS, ROWS_AT_ONCE, Approached, ArmRows, InverseRows
+from aridcal.engine.inverse.one_pose import MOST_UNAVOIDABLE, InverseKinematics
 from aridcal.engine.inverse.one_row import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
@@ -206,14 +206,14 @@ class Controller:
         return bool((free.sum(axis=1) > 6).any())
 
     def settle(
-        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray, steps: int = STEPS
+        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray, steps: int = MOST_STEPS
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a search from each seed ends, shape (n, columns); whether the tip is there, (n,); and the Jacobian there."""
         found = self.inverse.approach(wanted, seeds, held, {}, steps)
         return found.readings, self._there(found), found.J
 
     def _there(self, found: Approached) -> np.ndarray:
-        allowed = UNAVOIDABLE if found.readings.shape[1] < 6 else EXACT
+        allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else EXACT
         off = np.maximum(np.linalg.norm(found.error[:, :3], axis=1), np.linalg.norm(found.error[:, 3:], axis=1))
         return np.asarray(off < allowed)
 
@@ -237,7 +237,7 @@ class Controller:
         every = np.arange(len(poses))
         searched = np.array([poses.key(k) in memory for k in every.tolist()], dtype=bool) if memory else every < 0
         left, far = every[~searched], searched.copy()
-        for seeds, steps, close in ((guess, 0, 1.0), (near, STEPS, CLOSE)):
+        for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, CLOSE)):
             some, at = poses[left], near[left]
             q, reached, J = self.settle(some.wanted, seeds[left], some.held, steps)
             q = self._turned_towards(q, at, some.held)
@@ -545,6 +545,6 @@ class Controller:
 
 def _parts(rows: np.ndarray, tries: int) -> Iterator[np.ndarray]:
     """Rows in parts that are worked on together with so many tries each."""
-    size = max(AT_ONCE // tries, 1)
+    size = max(ROWS_AT_ONCE // tries, 1)
     for start in range(0, len(rows), size):
         yield rows[start : start + size]

@@ -18,7 +18,7 @@ import numpy as np
 
 from aridcal.engine.instruments.pose import rotation_vector
 from aridcal.engine.inverse.many_poses import ArmRows, InverseRows
-from aridcal.engine.inverse.one_pose import FINEST, UNAVOIDABLE
+from aridcal.engine.inverse.one_pose import FINEST_NOISE, MOST_UNAVOIDABLE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import approach
 from aridcal.files.query import QueryRows
@@ -132,7 +132,7 @@ class _Arm:
         """What a pose may be missed by that counts as reached, [m] and [rad] times the lever."""
         lean = len(self.real.low) < 6
         noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / LEVER
-        position, rotation = (UNAVOIDABLE if lean else max(sigma, FINEST) for sigma in noise)
+        position, rotation = (MOST_UNAVOIDABLE if lean else max(sigma, FINEST_NOISE) for sigma in noise)
         return position, rotation * self.real.lever
 
     def target(self, wanted: np.ndarray) -> np.ndarray:
