@@ -49,7 +49,7 @@ class NotIdentifiable(AridcalError):
         super().__init__(f"confounded: {mixed}. Fix one of each, or measure poses that separate them.")
 
 
-BREAKING = frozenset({"Cc", "Zl", "Zp", "Cs"})
+CONTROL_CATEGORIES = frozenset({"Cc", "Zl", "Zp", "Cs"})
 """Unicode's categories of control characters, line and paragraph separators, and halves of characters."""
 
 SHOWN = 60
@@ -64,22 +64,22 @@ COMPARED_NAMES = 1000
 
 def has_controls(text: str) -> bool:
     """True of text that moves the cursor or breaks a line."""
-    return not text.isprintable() and any(unicodedata.category(c) in BREAKING for c in text)
+    return not text.isprintable() and any(unicodedata.category(c) in CONTROL_CATEGORIES for c in text)
 
 
 def printable(text: str) -> str:
     """The text with control characters spelt out, as Python writes them."""
     if text.isprintable():
         return text
-    spelt = (repr(c)[1:-1] if unicodedata.category(c) in BREAKING else c for c in text)
+    spelt = (repr(c)[1:-1] if unicodedata.category(c) in CONTROL_CATEGORIES else c for c in text)
     return "".join(spelt)
 
 
 def printable_lines(text: str) -> str:
-    """The same of a text whose line breaks and tabs are meant."""
+    """The text with control characters spelt out, all but line breaks and tabs."""
     if text.isprintable():
         return text
-    return "".join(part if part in ("\n", "\t") else printable(part) for part in re.split("([\n\t])", text))
+    return "".join(piece if piece in ("\n", "\t") else printable(piece) for piece in re.split("([\n\t])", text))
 
 
 def shortened(text: str, most: int = SHOWN) -> str:
@@ -93,9 +93,9 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(shortened(name) for name in names[:SHOWN_NAMES]) + more
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a hint for a misspelt name: ``" (did you mean 'x'?)"``, or the known names, or nothing."""
-    names = [str(k) for k in known]
+def nearest(name: str, choices: Iterable[str]) -> str:
+    """A hint for a misspelt name: ``" (did you mean 'x'?)"``, or the names to choose from, or nothing."""
+    names = [str(k) for k in choices]
     short = [k for k in names[:COMPARED_NAMES] if len(k) <= SHOWN]
     close = difflib.get_close_matches(name, short, n=1, cutoff=0.5) if len(name) <= SHOWN else []
     if close:

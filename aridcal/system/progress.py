@@ -25,7 +25,7 @@ OF_BLAS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
 """What libraries of linear algebra look at when they are loaded."""
 
 HEIGHT = 720
-"""Of a page inside a notebook, [px]: less than a screen, so that one can scroll past it."""
+"""Height of a page inside a notebook, [px]: less than a screen, so that one can scroll past it."""
 
 SHOWN_REMARKS = 5
 """Remarks that a screen shows; pages and files have all."""
@@ -118,7 +118,7 @@ def duration(seconds: float) -> str:
 
 
 class Progress:
-    """Passed down through long work, which calls it with each step and tells it how far the step is.
+    """Progress of long work, handed down through it: it is called with each step and told how far the step is.
 
     Args:
         show: Called with each step.
@@ -137,13 +137,13 @@ class Progress:
         self._show(step)
 
     def at(self, step: str) -> None:
-        """Begin a step that is told of only if it takes long."""
+        """Begin a step that is shown only if it takes long."""
         self._step, self._told = step, self._clock()
         self._began = self._told
 
-    def note(self, said: str) -> None:
+    def note(self, text: str) -> None:
         """Tell something by the way; the step goes on."""
-        self._show(said)
+        self._show(text)
 
     def part(self, done: int, total: int, of: str) -> None:
         """Tell how much of the step is done, unless something was told within the last :data:`EVERY` seconds.
@@ -156,31 +156,31 @@ class Progress:
         self._tell(f"{done:,} of {total:,} {of}", done / total if total else None)
 
     def share(self, done: float) -> None:
-        """The same of what is not counted, ``done`` from 0 to 1."""
+        """Tell how much of a step is done that counts nothing, ``done`` from 0 to 1."""
         self._tell(f"{int(100 * done)} %", done)
 
-    def _tell(self, said: str, share: float | None) -> None:
+    def _tell(self, text: str, share: float | None) -> None:
         now = self._clock()
         if now - self._told < EVERY:
             return
         self._told = now
         share = None if share is None else min(max(share, 0.0), 1.0)
         left = (now - self._began) * (1.0 - share) / share if share else math.nan
-        self._passing(HowFar(self._step, said, share, left))
+        self._passing(HowFar(self._step, text, share, left))
 
     def over(self, items: Sequence[T], of: str) -> Iterator[T]:
         """Go through items, and tell how many are done."""
         return self.through(items, len(items), of)
 
     def through(self, items: Iterable[T], total: int, of: str, each: int = 1) -> Iterator[T]:
-        """The same where their number must be said, or where each stands for several."""
+        """Go through items whose number must be said, or of which each stands for several, and tell how many are done."""
         for done, item in enumerate(items):
             self.part(done * each, total, of)
             yield item
 
 
 SILENT = Progress(lambda _: None)
-"""Of work that nobody watches."""
+"""Progress of work that nobody watches."""
 
 
 @contextmanager
@@ -201,8 +201,8 @@ def told_on(console: Console) -> Iterator[Progress]:
 
     def passing(far: HowFar) -> None:
         clear()
-        said = line(f"{far.bar}{far}")
-        console.print(said, style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
+        text = line(f"{far.bar}{far}")
+        console.print(text, style="dim", markup=False, highlight=False, no_wrap=True, overflow="ellipsis", end="")
 
     def clear() -> None:
         if console.is_terminal:
@@ -220,13 +220,13 @@ def one_thread() -> Iterator[None]:
 
     SciPy has a library of its own beside NumPy's, loaded when needed: the environment holds that one, a limit what is there.
     """
-    kept = {name: os.environ.get(name) for name in OF_BLAS}
+    before = {name: os.environ.get(name) for name in OF_BLAS}
     os.environ.update(dict.fromkeys(OF_BLAS, "1"))
     try:
         with threadpool_limits(1, user_api="blas"):
             yield
     finally:
-        for name, value in kept.items():
+        for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
@@ -271,10 +271,10 @@ def _in_notebook(line: Callable[[str], str]) -> Iterator[Progress]:
     """One output that each step overwrites. Rich's own needs ipywidgets, which few have."""
     from IPython.display import display
 
-    shown = display({"text/plain": ""}, raw=True, display_id=True)
+    output = display({"text/plain": ""}, raw=True, display_id=True)
 
     def show(step: str) -> None:
-        shown.update({"text/plain": line(step)}, raw=True)
+        output.update({"text/plain": line(step)}, raw=True)
 
     yield Progress(show, lambda far: show(f"{far.bar}{far}"))
     show("done")

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 ORDERS = ("ymd", "dmy", "mdy")
-"""In which day, month and year may stand."""
+"""Orders in which day, month and year may stand."""
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 """Where a month is a word, no order is needed."""
@@ -38,7 +38,7 @@ NIGHTS = (
     "steps back as if it passed midnight more than once, or a night, and has no date: add the date, put rows in the order in "
     "which they were measured, or leave the column out (`ignore`, `table.dates`)"
 )
-"""What is said of a column of such times."""
+"""What a message says of a column of times that pass several nights."""
 
 
 def seconds(cell: str, order: str) -> float | None:
@@ -52,12 +52,12 @@ def seconds(cell: str, order: str) -> float | None:
         None where it is none: no such day, or one of another order.
     """
     text = cell.strip()
-    date, rest = _date(text, order)
+    date, clock_text = _date(text, order)
     if date is None:
         return _clock(text)
-    if not rest:
+    if not clock_text:
         return date
-    clock = _clock(rest.lstrip("T_,").strip())
+    clock = _clock(clock_text.lstrip("T_,").strip())
     return None if clock is None else date + clock
 
 
@@ -108,21 +108,21 @@ def of_the_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def _date(text: str, order: str) -> tuple[float | None, str]:
     """Seconds at the beginning of a date, and what follows it."""
-    if (found := COMPACT.match(text)) is not None:
-        year, month, day = found.groups()
-    elif (found := NUMBERS.match(text)) is not None:
-        parts = (found[1], found[3], found[4])
+    if (match := COMPACT.match(text)) is not None:
+        year, month, day = match.groups()
+    elif (match := NUMBERS.match(text)) is not None:
+        parts = (match[1], match[3], match[4])
         if len(parts[0]) == 4:
             order = "ymd"
         elif len(parts[0]) > 2 or len(parts[2]) not in (2, 4) or order == "ymd":
             return None, text
         where = {letter: part for letter, part in zip(order, parts, strict=True)}
         year, month, day = where["y"], where["m"], where["d"]
-    elif (found := WORDS.match(text)) is not None:
-        word = (found[2] or found[4]).lower()
+    elif (match := WORDS.match(text)) is not None:
+        word = (match[2] or match[4]).lower()
         if word not in MONTHS:
             return None, text
-        year, month, day = found[3] or found[6], str(MONTHS.index(word) + 1), found[1] or found[5]
+        year, month, day = match[3] or match[6], str(MONTHS.index(word) + 1), match[1] or match[5]
     else:
         return None, text
     if len(year) <= 2:
@@ -131,23 +131,23 @@ def _date(text: str, order: str) -> tuple[float | None, str]:
         begin = datetime(int(year), int(month), int(day), tzinfo=UTC)
     except ValueError:
         return None, text
-    return begin.timestamp(), text[found.end() :]
+    return begin.timestamp(), text[match.end() :]
 
 
 def _clock(text: str) -> float | None:
     """Seconds since midnight, of UTC where a zone is said."""
-    found = CLOCK.fullmatch(text.strip())
-    if found is None:
+    match = CLOCK.fullmatch(text.strip())
+    if match is None:
         return None
-    hour, minute, second = int(found[1]), int(found[2]), int(found[3] or 0)
-    if found[5]:
+    hour, minute, second = int(match[1]), int(match[2]), int(match[3] or 0)
+    if match[5]:
         if not 1 <= hour <= 12:
             return None
-        hour = hour % 12 + 12 * (found[5].lower() == "p")
+        hour = hour % 12 + 12 * (match[5].lower() == "p")
     if hour > 23 or minute > 59 or second > 60:
         return None
-    part = float(f"0.{found[4]}") if found[4] else 0.0
-    return 3600.0 * hour + 60.0 * minute + second + part - _ahead(found[6])
+    fraction = float(f"0.{match[4]}") if match[4] else 0.0
+    return 3600.0 * hour + 60.0 * minute + second + fraction - _ahead(match[6])
 
 
 def _ahead(zone: str | None) -> float:

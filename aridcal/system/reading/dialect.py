@@ -22,7 +22,7 @@ class Dates:
 
     @property
     def name(self) -> str:
-        """Of the column that they become, in seconds."""
+        """Name of the column of seconds that they become."""
         return " ".join(self.columns)
 
 

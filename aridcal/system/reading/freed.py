@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def held() -> Iterator[None]:
-    """What is there already is not looked through for objects that hold each other: through all modules that takes a while."""
+    """Keep the garbage collector from looking through what exists already: through all modules that takes a while."""
     gc.freeze()
     try:
         yield

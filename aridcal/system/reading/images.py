@@ -61,7 +61,7 @@ def image_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _png(content: bytes) -> tuple[int, int]:
-    """Of the first chunk. None may claim more bytes than the file has: OpenCV makes room for 4 GB before it looks."""
+    """Size in a PNG's first chunk. No chunk may claim more bytes than there are: OpenCV makes room for 4 GB before it looks."""
     place = 8
     for _ in range(MOST_SEGMENTS):
         length, kind = struct.unpack_from(">I4s", content, place)
@@ -75,7 +75,7 @@ def _png(content: bytes) -> tuple[int, int]:
 
 
 def _jpeg(content: bytes) -> tuple[int, int]:
-    """Of the frame header, behind any number of other segments."""
+    """Size in the frame header of a JPEG, behind any number of other segments."""
     place = 2
     for _ in range(MOST_SEGMENTS):
         marker, kind, length = struct.unpack_from(">BBH", content, place)
@@ -92,16 +92,16 @@ def _jpeg(content: bytes) -> tuple[int, int]:
 
 
 def _tiff(content: bytes) -> tuple[int, int]:
-    """Of the first image of the file: its tags 256 and 257."""
+    """Size of the first image of a TIFF: its tags 256 and 257."""
     order = "<" if content[:2] == b"II" else ">"
     (place,) = struct.unpack_from(f"{order}I", content, 4)
     (count,) = struct.unpack_from(f"{order}H", content, place)
-    found = {}
+    sizes = {}
     for k in range(count):
         tag, kind = struct.unpack_from(f"{order}HH", content, place + 2 + 12 * k)
         if tag in (256, 257):
-            (found[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, place + 10 + 12 * k)
-    return found.get(256, 0), found.get(257, 0)
+            (sizes[tag],) = struct.unpack_from(f"{order}{'H' if kind == 3 else 'I'}", content, place + 10 + 12 * k)
+    return sizes.get(256, 0), sizes.get(257, 0)
 
 
 def _bmp(content: bytes) -> tuple[int, int]:
@@ -130,8 +130,8 @@ def _webp(content: bytes) -> tuple[int, int]:
 
 
 MOST_SEGMENTS = 100_000
-"""Before the frame header of a JPEG, where there are some hundreds with a large colour profile, and of a PNG, which may have one
-for every 8 kB."""
+"""Segments before the frame header of a JPEG, where there are some hundreds with a large colour profile; and chunks of a PNG,
+which may have one for every 8 kB."""
 
 JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers of frame headers; the other three are tables."""

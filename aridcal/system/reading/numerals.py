@@ -16,7 +16,7 @@ LIKE_A_NUMBER = r"^[-+]?[\d.,' ]*\d[\d.,' ]*([eE][-+]?\d+)?$"
 """Digits with any marks between them."""
 
 SAME = {"\u2212": "-", "\u00a0": " ", "\u202f": " ", "\u2009": " ", "\u2019": "'"}
-"""Characters that look like another one, which is meant: minus, blanks that do not break or are thin, an apostrophe."""
+"""Characters that look like the usual one: minus, blanks that do not break or are thin, an apostrophe."""
 
 NO_NUMBER = "'"
 """Put before what looks like a number and is not written as the file's numbers are, so that nobody takes it for one."""
@@ -27,11 +27,11 @@ SEVERAL = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 def pattern(dialect: Dialect) -> str:
     """What a number looks like in a dialect, as a regular expression."""
-    whole = r"\d+"
+    integer = r"\d+"
     if dialect.thousands:
-        whole = rf"(?:\d{{1,3}}(?:{re.escape(dialect.thousands)}\d{{3}})+|\d+)"
+        integer = rf"(?:\d{{1,3}}(?:{re.escape(dialect.thousands)}\d{{3}})+|\d+)"
     point = re.escape(dialect.decimal)
-    return rf"^[-+]?(?:{whole}(?:{point}\d*)?|{point}\d+)(?:[eE][-+]?\d+)?$"
+    return rf"^[-+]?(?:{integer}(?:{point}\d*)?|{point}\d+)(?:[eE][-+]?\d+)?$"
 
 
 def as_numbers(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
@@ -45,15 +45,15 @@ def as_numbers(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
         The same text where it is no number. What is one in another dialect alone, ``1.5`` among decimal commas, is made none.
     """
     text = pc.utf8_trim_whitespace(column)
-    for odd, meant in SAME.items():
-        text = pc.replace_substring(text, odd, meant)
+    for odd, usual in SAME.items():
+        text = pc.replace_substring(text, odd, usual)
     number = pc.match_substring_regex(text, pattern(dialect))
     plain = pc.replace_substring(text, dialect.thousands, "") if dialect.thousands else text
     if dialect.decimal != ".":
         plain = pc.replace_substring(plain, dialect.decimal, ".")
-    other = pc.match_substring_regex(text, LIKE_A_NUMBER)
-    kept = pc.if_else(other, pc.binary_join_element_wise(NO_NUMBER, text, ""), column)
-    return pc.if_else(number, plain, kept)
+    number_like = pc.match_substring_regex(text, LIKE_A_NUMBER)
+    words = pc.if_else(number_like, pc.binary_join_element_wise(NO_NUMBER, text, ""), column)
+    return pc.if_else(number, plain, words)
 
 
 def several(cell: str, dialect: Dialect) -> list[str]:

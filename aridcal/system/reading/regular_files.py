@@ -55,7 +55,7 @@ KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
-"""What waits for ever or never ends when it is read."""
+"""Files that wait for ever or never end when they are read, and what they are."""
 
 
 def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
@@ -69,21 +69,21 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
     Raises:
         AridcalError: of the given kind, if there is no such file, or it is none, empty, too large or cannot be read.
     """
-    shown = shortened(printable(str(path)), LONGEST_NAME)
+    name = shortened(printable(str(path)), LONGEST_NAME)
     try:
-        _check_regular(path.stat(), shown, error, limit)  # before opening: some devices act on that alone
+        _check_regular(path.stat(), name, error, limit)  # before opening: some devices act on that alone
         with open(path, "rb", opener=_without_waiting) as file:
             status = os.fstat(file.fileno())
-            _check_regular(status, shown, error, limit)  # it may be another one by now
+            _check_regular(status, name, error, limit)  # it may be another one by now
             content = file.read(status.st_size + 1)
     except FileNotFoundError:
-        raise error(f"{shown}: there is no such file; check its name") from None
+        raise error(f"{name}: there is no such file; check its name") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{shown}: cannot be read: {why(problem)}; check the file and who may read it") from None
+        raise error(f"{name}: cannot be read: {why(problem)}; check the file and who may read it") from None
     if len(content) > status.st_size:
-        raise error(f"{shown}: grew while it was read: wait until it is complete")
+        raise error(f"{name}: grew while it was read: wait until it is complete")
     if not content or content.isspace():
-        raise error(f"{shown}: is empty; write it anew, or name another file")
+        raise error(f"{name}: is empty; write it anew, or name another file")
     return content
 
 
@@ -91,17 +91,17 @@ def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
-def _check_regular(status: os.stat_result, shown: str, error: type[AridcalError], limit: Limit) -> None:
+def _check_regular(status: os.stat_result, name: str, error: type[AridcalError], limit: Limit) -> None:
     if stat.S_ISDIR(status.st_mode):
-        raise error(f"{shown}: is a folder, not a file; name a file in it")
+        raise error(f"{name}: is a folder, not a file; name a file in it")
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "no regular file")
-        raise error(f"{shown}: is {kind}; only regular files are read: save its content as a file")
+        raise error(f"{name}: is {kind}; only regular files are read: save its content as a file")
     if status.st_size > limit.megabytes * MEGA:
         size = status.st_size / MEGA
-        raise error(f"{shown}: has {size:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
+        raise error(f"{name}: has {size:,.1f} MB, at most {limit.megabytes:g} MB are read; {limit.remedy}")
     if not status.st_size:  # also what the kernel makes up while it is read, as under /proc
-        raise error(f"{shown}: is empty; write it anew, or name another file")
+        raise error(f"{name}: is empty; write it anew, or name another file")
 
 
 def not_utf8(content: bytes, place: int, path: Path, error: type[AridcalError]) -> AridcalError:

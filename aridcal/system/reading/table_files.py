@@ -28,7 +28,7 @@ NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 PANDAS_INDEX = re.compile(r"__index_level_\d+__")
 
 # Bytes of a cell as a number; as text it also takes what is written in it, which is no more than the file's own size.
-CELL = 8
+BYTES_OF_A_CELL = 8
 
 # Bytes of a line of csv: that of 100,000 columns of 17 digits takes 2 MB.
 LONGEST_LINE = 16_000_000
@@ -40,7 +40,7 @@ MOST_COLUMNS = 10_000
 MOST_BROKEN = 100_000
 
 # Bytes that are checked together, so that a file of many MB is never there twice.
-AT_ONCE = 1_000_000
+BYTES_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -99,12 +99,12 @@ def _check_columns(names: list[str], path: Path) -> None:
         raise MeasurementError(
             f"{path}: has {len(names):,} columns, at most {MOST_COLUMNS:,} are read; split the table"
         )
-    seen = set()
+    earlier = set()
     for name in names:
         check_name(name, f"{path}: a column", MeasurementError)
-        if name in seen:
+        if name in earlier:
             raise MeasurementError(f"{path}: the column {name!r} is there twice; rename or delete one")
-        seen.add(name)
+        earlier.add(name)
 
 
 def check_size(path: Path, rows: int, columns: int, limit: Limit) -> None:
@@ -113,7 +113,7 @@ def check_size(path: Path, rows: int, columns: int, limit: Limit) -> None:
     Raises:
         MeasurementError: with what it would take.
     """
-    size = CELL * rows * columns / MEGA
+    size = BYTES_OF_A_CELL * rows * columns / MEGA
     if size > limit.megabytes:
         raise MeasurementError(
             f"{path}: {rows:,} rows of {columns:,} columns would take {size:,.0f} MB, at most {limit.megabytes:g} MB are read; "
@@ -163,8 +163,8 @@ def read_parquet(content: bytes, path: Path, limit: Limit, spare: Collection[str
         cells = cells.cast(pa.schema([schema.field(name) for name in names]))
         cells.validate(full=True)  # words that are not UTF-8, above all
     except (pa.ArrowException, OSError, ValueError, OverflowError, MemoryError) as problem:
-        said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
-        raise MeasurementError(f"{path}: is not a readable Parquet file: {said}. Write it anew, or as csv") from None
+        reason = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
+        raise MeasurementError(f"{path}: is not a readable Parquet file: {reason}. Write it anew, or as csv") from None
     if not cells.num_rows:
         raise MeasurementError(f"{path}: has columns but no rows; name the table that was measured")
     return replace(whole(cells), left_out=tuple(nested))
@@ -195,7 +195,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 NO_ROWS = "has a header but no rows; name the table that was measured"
-"""What is said of a table without a cell."""
+"""What a message says of a table without a cell."""
 
 
 def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
@@ -238,8 +238,8 @@ def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: s
     if b'"' in text:
         _refuse_line_breaks(cells, line, broken, path)
     empty = [cells[k].null_count == cells.num_rows for k in range(len(header))]
-    kept = [k for k, name in enumerate(header) if name or not empty[k]]
-    cells = cells.rename_columns(header).select(kept)
+    chosen = [k for k, name in enumerate(header) if name or not empty[k]]
+    cells = cells.rename_columns(header).select(chosen)
     check_header(cells.column_names, path)
     if cells.num_rows and cells[0].null_count:
         nothing = np.logical_and.reduce([column.is_null().to_numpy() for column in cells.columns])
@@ -271,9 +271,9 @@ def _plain(content: bytes, path: Path) -> bytes:
 def _check_utf8(content: bytes, path: Path) -> None:
     """Refuse other encodings; decoded as a whole, a file would take up to four times its size."""
     decoder = codecs.getincrementaldecoder("utf-8")()
-    for start in range(0, len(content), AT_ONCE):
+    for start in range(0, len(content), BYTES_AT_ONCE):
         try:
-            decoder.decode(content[start : start + AT_ONCE], final=start + AT_ONCE >= len(content))
+            decoder.decode(content[start : start + BYTES_AT_ONCE], final=start + BYTES_AT_ONCE >= len(content))
         except UnicodeDecodeError as problem:
             raise not_utf8(content, start + problem.start, path, MeasurementError) from None
 
@@ -334,8 +334,8 @@ def _parse(
             raise MeasurementError(
                 f"{path}: a row has more than {LONGEST_LINE / MEGA:g} MB; is a line break missing? End each row with one"
             ) from None
-        said = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
-        raise MeasurementError(f"{path}: cannot be read as a table: {said}. Write it anew") from None
+        reason = shortened((str(problem) or type(problem).__name__).splitlines()[0], 200)
+        raise MeasurementError(f"{path}: cannot be read as a table: {reason}. Write it anew") from None
     return cells, broken, blank
 
 

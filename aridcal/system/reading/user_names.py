@@ -44,19 +44,19 @@ def check_path(path: Path, error: type[AridcalError]) -> None:
     Raises:
         AridcalError: of the given kind, with the name shortened.
     """
-    shown = shortened(printable(str(path)))
+    name = shortened(printable(str(path)))
     if any("\udc80" <= c <= "\udcff" for c in str(path)):  # how Python shows bytes that it cannot read
         raise error(
-            f"{shown}: the name of this file is not {sys.getfilesystemencoding().upper()}, as this session reads names: rename it"
+            f"{name}: the name of this file is not {sys.getfilesystemencoding().upper()}, as this session reads names: rename it"
         )
     if has_controls(str(path)):
-        raise error(f"{shown}: the name of this file holds a control character: rename it")
+        raise error(f"{name}: the name of this file holds a control character: rename it")
     try:
         path.lstat()
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         return
     except (OSError, ValueError) as problem:
-        raise error(f"{shown}: cannot be the name of a file: {why(problem)}. Give another one") from None
+        raise error(f"{name}: cannot be the name of a file: {why(problem)}. Give another one") from None
 
 
 def path_argument(text: str) -> Path:

@@ -23,26 +23,26 @@ DECLARED = re.compile(rb"<\s*!\s*(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 
 ENCODING = re.compile(rb"<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)", re.IGNORECASE)
 ENCODINGS = frozenset({b"utf-8", b"utf-16", b"us-ascii", b"ascii"})
-"""Of the parts of workbooks (ECMA-376 part 2): in others, angle brackets and declarations hide."""
+"""Encodings of the parts of workbooks (ECMA-376 part 2): in others, angle brackets and declarations hide."""
 
 ELEMENT = re.compile(rb"<([^\s<>/?!][^\s<>/]*)")
 """An element's beginning and its name."""
 
-OF_CELLS = frozenset({b"row", b"c", b"v", b"f", b"is", b"t", b"si", b"r", b"rPr", b"rPh", b"phoneticPr"})
+CELL_ELEMENTS = frozenset({b"row", b"c", b"v", b"f", b"is", b"t", b"si", b"r", b"rPr", b"rPh", b"phoneticPr"})
 """Elements that grow with the number of cells; they are read one after the other."""
 
-CELL = 6
-"""Of these for a cell at most: itself, its value, a shared text with its parts."""
+ELEMENTS_OF_A_CELL = 6
+"""Elements of a cell at most: itself, its value, a shared text with its parts."""
 
 MOST_OTHERS = 200_000
-"""Of all other elements of what is read: formats, styles, merged cells, names. Each becomes an object, in 50 µs and 1 kB; a
+"""Elements of other kinds in what is read: formats, styles, merged cells, names. Each becomes an object, in 50 µs and 1 kB; a
 workbook of many years has some thousand."""
 
 WHOLE_MB = 20
 """[MB] of a part that is read whole: the list of sheets, styles, a theme."""
 
-READINGS = 2
-"""Of a sheet: for its size, and for its cells."""
+READINGS_OF_A_SHEET = 2
+"""Times that a sheet is read: for its size, and for its cells."""
 
 MOST_SHEETS = 1000
 """More are no measurements: each is looked into."""
@@ -53,7 +53,7 @@ UNPACKED = 4.0
 MOST_EMPTY = 20_000
 """Empty rows, one after the other: those before a row with an absurd number are made up while a sheet is read."""
 
-HELD = 64
+BYTES_OF_A_CELL = 64
 """Bytes of a cell while the sheet is turned into text."""
 
 
@@ -80,7 +80,7 @@ def as_csv(content: bytes, path: Path, limit: Limit, sheet: str, decimal: str) -
         MeasurementError: it cannot be read, there is no such sheet, or several and none is named.
     """
     book = _opened(content, path, limit)
-    names = [one.title for one in book.worksheets]
+    names = [each.title for each in book.worksheets]
     if sheet and sheet not in names:
         raise MeasurementError(f"{path}: has no sheet {shortened(sheet)!r}{nearest(sheet, names)}; see `table.sheet`")
     if not sheet and len(names) != 1:
@@ -174,7 +174,7 @@ class _Bounded(zipfile.ZipFile):
             raise MeasurementError(f"{self._path}: declares entities in its XML, which no workbook needs; save it anew")
         names = Counter(ELEMENT.findall(content))
         every = names.total()
-        of_cells = sum(n for name, n in names.items() if name.replace(b"\0", b"").rpartition(b":")[2] in OF_CELLS)
+        of_cells = sum(n for name, n in names.items() if name.replace(b"\0", b"").rpartition(b":")[2] in CELL_ELEMENTS)
         self._of_cells += 0 if whole else of_cells
         self._others += every if whole else every - of_cells
         self._bytes += len(content)
@@ -184,7 +184,10 @@ class _Bounded(zipfile.ZipFile):
                 "that was measured in a new workbook, or as csv"
             )
         most = self._limit.megabytes * MEGA
-        if HELD * self._of_cells > READINGS * CELL * most or self._bytes > READINGS * UNPACKED * most:
+        if (
+            BYTES_OF_A_CELL * self._of_cells > READINGS_OF_A_SHEET * ELEMENTS_OF_A_CELL * most
+            or self._bytes > READINGS_OF_A_SHEET * UNPACKED * most
+        ):
             raise MeasurementError(
                 f"{self._path}: has more cells than {self._limit.megabytes:g} MB hold; {self._limit.remedy}"
             )
@@ -197,7 +200,7 @@ class _Stream(io.RawIOBase):
         self._file, self._archive, self._started, self._rest = file, archive, False, b""
 
     def read(self, size: int | None = -1) -> bytes:
-        """The next bytes; where all are asked for, no more than may be held."""
+        """The next bytes; if all are asked for, no more than :data:`WHOLE_MB`."""
         content = self._file.read(int(WHOLE_MB * MEGA) if size is None or size < 0 else size)
         if not self._started:
             self._archive.begins(content)
@@ -209,7 +212,7 @@ class _Stream(io.RawIOBase):
         return content
 
     def readable(self) -> bool:
-        """It is."""
+        """True: a part can be read."""
         return True
 
     def close(self) -> None:
@@ -219,7 +222,7 @@ class _Stream(io.RawIOBase):
 
 
 def _rows(sheet: Any, path: Path, limit: Limit) -> Iterator[tuple[Any, ...]]:
-    """Rows of a sheet without the empty cells at their ends, none for what a file merely says of its size."""
+    """Rows of a sheet without the empty cells at their ends; the size that the file states does not count."""
     sheet.reset_dimensions()
     cells = empty = 0
     for row in sheet.iter_rows(values_only=True):
@@ -232,7 +235,7 @@ def _rows(sheet: Any, path: Path, limit: Limit) -> Iterator[tuple[Any, ...]]:
                 f"{path}: has {filled:,} columns, at most {MOST_COLUMNS:,} are read; split the table"
             )
         cells += len(row)
-        if HELD * cells > limit.megabytes * MEGA:
+        if BYTES_OF_A_CELL * cells > limit.megabytes * MEGA:
             raise MeasurementError(f"{path}: has more cells than {limit.megabytes:g} MB hold; {limit.remedy}")
         yield row[:filled]
 
@@ -253,5 +256,5 @@ def _text(cell: Any, decimal: str) -> str:
 
 
 def _unreadable(path: Path, problem: Exception) -> MeasurementError:
-    said = shortened(printable((str(problem) or type(problem).__name__).splitlines()[0]), 200)
-    return MeasurementError(f"{path}: is no readable workbook: {said}. Save it anew as .xlsx, or as csv")
+    reason = shortened(printable((str(problem) or type(problem).__name__).splitlines()[0]), 200)
+    return MeasurementError(f"{path}: is no readable workbook: {reason}. Save it anew as .xlsx, or as csv")

@@ -23,8 +23,8 @@ from aridcal.system.reading.table_files import LONGEST_LINE, MOST_COLUMNS, FileC
 
 LINE_END = re.compile(r"\r\n|\r|\n")
 
-UNITS_OR_WORDS = 0.5
-"""Lines between the header and the first row hold units or words: one of which more cells are numbers is a row."""
+MOST_NUMBERS = 0.5
+"""Share of numbers among the cells of a line of units or words between the header and the first row; with more it is a row."""
 
 FILLED = re.compile(r"^.*\S.*$", re.MULTILINE)
 """A line that is not blank."""
@@ -58,27 +58,27 @@ def read_written(content: bytes, path: Path, limit: Limit, dialect: Dialect, par
     if "\r" in text:
         text = LINE_END.sub("\n", text)
     begins = dialect.begins
-    lines, rest = (
+    lines, body = (
         text.split("\n", begins - 1),
         "",
     )  # the rows stay one text: as lines they would take several times as much
     if len(lines) == begins:
-        rest = lines.pop()
+        body = lines.pop()
     del text
     names = header_names(lines, dialect, separator, path)
     _check_between(lines, dialect, separator, path)
-    rest = _rows(rest, dialect.comment, separator)
-    first = FILLED.search(rest)
+    body = _rows(body, dialect.comment, separator)
+    first = FILLED.search(body)
     parted = "\t" if separator == BLANKS else separator
     names = _as_wide(names, split_line(first[0] if first else "", parted))
     above = max(begins - 1, 1)  # the reader begins below one line
-    read = below(b"\n" * above + rest.encode(), names, path, limit, parted)
+    table = below(b"\n" * above + body.encode(), names, path, limit, parted)
     shift = above - begins + 1
-    broken = tuple(replace(row, line=row.line - shift) for row in read.broken)
-    read = replace(read, line=read.line - shift, broken=broken)
+    broken = tuple(replace(row, line=row.line - shift) for row in table.broken)
+    table = replace(table, line=table.line - shift, broken=broken)
     if partial:
-        dialect = _of_columns(dialect, read.cells.column_names)
-    return replace(read, cells=_converted(read, dialect, path))
+        dialect = _of_columns(dialect, table.cells.column_names)
+    return replace(table, cells=_converted(table, dialect, path))
 
 
 def _of_columns(dialect: Dialect, names: Collection[str]) -> Dialect:
@@ -168,7 +168,7 @@ def joined(rows: Sequence[Sequence[str]]) -> list[str]:
     names: list[str] = []
     for parts in columns:
         name = " ".join(parts)
-        again = sum(1 for other in names if name and (other == name or other.startswith(f"{name} #")))
+        again = sum(1 for earlier in names if name and (earlier == name or earlier.startswith(f"{name} #")))
         names.append(f"{name} #{again + 1}" if again else name)
     return names
 
@@ -210,7 +210,7 @@ def _check_between(lines: Sequence[str], dialect: Dialect, separator: str, path:
     number = re.compile(pattern(dialect))
     for k in range(max(dialect.header, default=0) + 1, min(dialect.begins, len(lines) + 1)):
         cells = [cell for cell in split_line(_rows(lines[k - 1], dialect.comment, ""), separator) if cell]
-        if sum(bool(number.match(cell)) for cell in cells) > max(UNITS_OR_WORDS * len(cells), 2):
+        if sum(bool(number.match(cell)) for cell in cells) > max(MOST_NUMBERS * len(cells), 2):
             raise MeasurementError(
                 f"{path}, line {k}: holds numbers, but `table.first_row` is {dialect.begins}: a row would be left out. Set it "
                 "to the line of the first row"
@@ -226,9 +226,9 @@ def _as_wide(names: list[str], row: Sequence[str]) -> list[str]:
     return [name or (f"column {k + 1}" if k < len(row) and row[k] else "") for k, name in enumerate(names)]
 
 
-def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
+def _converted(table: FileCells, dialect: Dialect, path: Path) -> pa.Table:
     """Cells whose numbers have points, lists taken apart and dates in seconds."""
-    cells = read.cells
+    cells = table.cells
     for name in (*dialect.lists, *(dialect.dates.columns if dialect.dates else ())):
         if name not in cells.column_names:
             where = "lists" if name in dialect.lists else "dates"
@@ -245,7 +245,7 @@ def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
         elif dialect.dates and name in dialect.dates.columns:
             if name == dialect.dates.columns[-1]:
                 names.append(dialect.dates.name)
-                columns.append(_in_seconds(cells, read.line, dialect.dates, path))
+                columns.append(_in_seconds(cells, table.line, dialect.dates, path))
         else:
             names.append(name)
             columns.append(as_numbers(cells[name], dialect))
@@ -261,9 +261,9 @@ def _converted(read: FileCells, dialect: Dialect, path: Path) -> pa.Table:
 
 def _taken_apart(column: pa.ChunkedArray, count: int, dialect: Dialect) -> list[pa.ChunkedArray]:
     """Columns of the numbers in cells of lists; empty where a cell has another count of them."""
-    found = [several(cell or "", dialect) for cell in column.to_pylist()]
+    lists = [several(cell or "", dialect) for cell in column.to_pylist()]
     nothing = [None] * count
-    rows = [row if len(row) == count else nothing for row in found]
+    rows = [row if len(row) == count else nothing for row in lists]
     return [pa.chunked_array([pa.array([row[k] for row in rows], pa.string())]) for k in range(count)]
 
 

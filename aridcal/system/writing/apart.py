@@ -20,26 +20,26 @@ def check_apart(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
     Raises:
         OutputError: one is the other: the same path, a link to it, or its second name.
     """
-    read = [path for path in inputs if path is not None]
+    files = [path for path in inputs if path is not None]
     for out in outputs:
-        for path in read:
+        for path in files:
             file = _file_of(path)
             if _same(out, file):
                 raise OutputError(f"{out}: is {file}, which is read: this would overwrite it; write to another file")
 
 
 def _file_of(path: Path) -> Path:
-    """What is read of a path: of a result folder its calibration."""
+    """The file that is read under a path: of a result folder its calibration."""
     with suppress(OSError, ValueError):  # what cannot be the name of a file is no folder
         if path.is_dir():
             return path / "calibration.yaml"
     return path
 
 
-def _same(one: Path, other: Path) -> bool:
+def _same(first: Path, second: Path) -> bool:
     """Whether two paths are one file, also where neither is there."""
     with suppress(OSError, ValueError):
-        return one.samefile(other)
+        return first.samefile(second)
     with suppress(OSError, ValueError):
-        return os.path.realpath(one) == os.path.realpath(other)
+        return os.path.realpath(first) == os.path.realpath(second)
     return False

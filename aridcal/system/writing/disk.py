@@ -44,7 +44,7 @@ def rename(source: Path, target: Path) -> None:
     source.replace(target)
 
 
-def exchange(one: Path, other: Path) -> bool:
+def exchange(first: Path, second: Path) -> bool:
     """Swap two folders in one step (renameat2(2)).
 
     Returns:
@@ -53,15 +53,15 @@ def exchange(one: Path, other: Path) -> bool:
     Raises:
         OSError: it can, but not with these two.
     """
-    before("exchange", other)
+    before("exchange", second)
     swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
     if swap is None:
         return False
-    if swap(AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE) == 0:
+    if swap(AT_FDCWD, os.fsencode(first), AT_FDCWD, os.fsencode(second), RENAME_EXCHANGE) == 0:
         return True
     if (code := ctypes.get_errno()) in NO_EXCHANGE:
         return False
-    raise OSError(code, os.strerror(code), str(other))
+    raise OSError(code, os.strerror(code), str(second))
 
 
 def share(source: Path, target: Path) -> None:

@@ -38,20 +38,20 @@ def held(lock: Path, path: Path) -> Iterator[None]:
         BusyError: another process holds it; its number is named.
         OSError: the file system has no room or no locks.
     """
-    taken = _take(lock, path)
+    handle = _take(lock, path)
     token = _mine.set(_mine.get() | {lock})
     try:
         yield
     finally:
         _mine.reset(token)
-        _give_back(lock, taken)
+        _give_back(lock, handle)
 
 
 def _take(lock: Path, path: Path) -> FileLock:
     for _ in range(ATTEMPTS):
-        taken = FileLock(lock, timeout=0, mode=0o666)  # writable for all: another user may have to clear it away
+        handle = FileLock(lock, timeout=0, mode=0o666)  # writable for all: another user may have to clear it away
         try:
-            taken.acquire()
+            handle.acquire()
         except Timeout:
             if holder := _holder(lock):
                 raise BusyError(
@@ -62,16 +62,16 @@ def _take(lock: Path, path: Path) -> FileLock:
         try:
             lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
         except OSError:  # the disk is full
-            _give_back(lock, taken)
+            _give_back(lock, handle)
             raise
-        return taken
+        return handle
     raise BusyError(f"{path}: is being written by another process; wait until it has ended, or choose another place")
 
 
-def _give_back(lock: Path, taken: FileLock) -> None:
+def _give_back(lock: Path, handle: FileLock) -> None:
     """Remove a lock's file, while it is held: whoever opened it before looks again."""
     lock.unlink(missing_ok=True)
-    taken.release()
+    handle.release()
 
 
 def _holder(lock: Path) -> str:

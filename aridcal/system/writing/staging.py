@@ -1,4 +1,4 @@
-"""Built aside, written through to the disk, put in place in one step; what a killed run leaves is settled by the next."""
+"""Results built aside, written through to the disk, put in place in one step; the next run settles what a killed run leaves."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ GRACE = 0.1
 PLAN, NEW, OLD, LINK = "plan.json", "new", "old", "link"
 """What is in a stage: how it gets into its place; what was built (after a swap: what it replaced); what gave way to a link."""
 
-DISK = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})
+DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})
 """Errors that speak of the disk written to, whichever file was meant."""
 
-STUCK = frozenset({errno.EXDEV, errno.EBUSY, errno.EPERM, errno.EACCES})
+UNMOVABLE_ERRORS = frozenset({errno.EXDEV, errno.EBUSY, errno.EPERM, errno.EACCES})
 """Answers to moving a folder that cannot be moved, though files can be moved into it: from a layer of a container, say."""
 
 
@@ -77,7 +77,7 @@ def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
         yield stage
     except OSError as error:
         # Any other file than those written here is somebody else's trouble: a bug, or an input.
-        if error.errno in DISK or (str(error.filename).startswith(str(stage)) and error.errno != errno.ENOENT):
+        if error.errno in DISK_ERRORS or (str(error.filename).startswith(str(stage)) and error.errno != errno.ENOENT):
             raise _cannot_write(path, error) from error
         raise
     finally:
@@ -125,15 +125,15 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
         time.sleep(GRACE)
 
 
-def _share_others(target: Path, new: Path, own: Collection[str]) -> bool:
+def _share_others(target: Path, new: Path, names: Collection[str]) -> bool:
     """Give the new folder whatever else the old one holds; False, and nothing, if that cannot be."""
-    others = others_than(target, own)
+    other_names = others_than(target, names)
     try:
-        for name in others:
+        for name in other_names:
             disk.share(target / name, new / name)
         disk.keep_mode(target, new)
     except OSError:
-        for name in others:
+        for name in other_names:
             disk.remove(new / name)
         return False
     return True
@@ -149,7 +149,7 @@ def _swap(plan: _Plan, stage: Path, target: Path) -> None:
         if target.is_symlink() or not disk.exchange(new, target):
             _relink(plan, stage, target)
     except OSError as error:
-        if error.errno not in STUCK:
+        if error.errno not in UNMOVABLE_ERRORS:
             raise
         for source, place in ((target.parent / plan.version, new), (stage / OLD, target)):  # as it was
             if source.is_dir() and not os.path.lexists(place):
@@ -222,29 +222,29 @@ def _read_plan(stage: Path) -> _Plan | None:
         return None
 
 
-def clear_up(folder: Path, taken: Path) -> None:
+def clear_up(folder: Path, current: Path) -> None:
     """Settle what the user's killed runs have left in a folder; of runs that live, and of others' runs, nothing is touched.
 
     Args:
         folder: Where to look; it need not exist.
-        taken: The lock that was taken just now.
+        current: The lock that was taken just now.
     """
-    found = []
+    entries = []
     for entry in os.scandir(folder) if folder.is_dir() else ():
         with suppress(OSError):  # gone by now
             if OURS in entry.name and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
-                found.append(entry.name)
-    for stem in sorted({name.partition(OURS)[0] for name in found if name.startswith(".")}):
+                entries.append(entry.name)
+    for stem in sorted({name.partition(OURS)[0] for name in entries if name.startswith(".")}):
         lock = folder / f"{stem}{OURS}{LOCK}"
-        if lock != taken and is_mine(lock):
+        if lock != current and is_mine(lock):
             continue
-        with suppress(OutputError, OSError), nullcontext() if lock == taken else held(lock, lock):
-            for name in found:
+        with suppress(OutputError, OSError), nullcontext() if lock == current else held(lock, lock):
+            for name in entries:
                 if name.startswith(f"{stem}{OURS}") and name != lock.name:
                     _settle(folder / name)
 
 
-def can_be_swapped(target: Path, own: Collection[str]) -> bool:
+def can_be_swapped(target: Path, names: Collection[str]) -> bool:
     """Whether a folder can change its place as a whole, with nobody missing it who stands or writes in it."""
     if home_of(target) == target or _is_mount_point(target):
         return False
@@ -253,12 +253,12 @@ def can_be_swapped(target: Path, own: Collection[str]) -> bool:
     with suppress(FileNotFoundError):  # this process stands in a folder that is gone
         if Path.cwd().is_relative_to(os.path.realpath(target)):
             return False
-    found = 0
-    for name in others_than(target, own):
+    count = 0
+    for name in others_than(target, names):
         inside = (entry for _, folders, files in os.walk(target / name) for entry in (*folders, *files))
         for entry in chain([name], inside):
-            found += 1
-            if OURS in entry or found > MOST_SHARED:  # OURS: another command writes in it
+            count += 1
+            if OURS in entry or count > MOST_SHARED:  # OURS: another command writes in it
                 return False
     return True
 
@@ -275,9 +275,9 @@ def _is_mount_point(folder: Path) -> bool:
     return str(folder) in {re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), point) for point in points}
 
 
-def others_than(folder: Path, own: Collection[str]) -> list[str]:
-    """Names in a folder but these."""
-    return sorted({entry.name for entry in os.scandir(folder)}.difference(own))
+def others_than(folder: Path, names: Collection[str]) -> list[str]:
+    """Names in a folder that are none of these."""
+    return sorted({entry.name for entry in os.scandir(folder)}.difference(names))
 
 
 def check_names(folder: Path, files: Collection[str], folders: Collection[str] = ()) -> None:
@@ -309,7 +309,7 @@ def hidden(target: Path) -> str:
 
 @contextmanager
 def named(path: Path) -> Iterator[None]:
-    """Whatever the system refuses inside is said of the output."""
+    """An error of the system inside the block becomes one that names the output."""
     try:
         yield
     except OSError as error:

@@ -22,7 +22,7 @@ QUOTED = frozenset(',"\r\n')
 """Characters of a cell that csv puts into quotes."""
 
 
-AT_ONCE = 10_000
+ROWS_AT_ONCE = 10_000
 """Rows that are made to text together: some megabytes."""
 
 
@@ -60,8 +60,10 @@ def write_csv(table: Mapping[str, np.ndarray], path: Path, digits: int) -> None:
     """Write columns of numbers and words, floats with so many digits."""
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(map(_quoted, table)) + "\n")
-        for start in range(0, len(next(iter(table.values()))), AT_ONCE):
-            file.write(csv_lines({name: column[start : start + AT_ONCE] for name, column in table.items()}, digits))
+        for start in range(0, len(next(iter(table.values()))), ROWS_AT_ONCE):
+            file.write(
+                csv_lines({name: column[start : start + ROWS_AT_ONCE] for name, column in table.items()}, digits)
+            )
 
 
 def write_table(table: pd.DataFrame, path: Path) -> None:

@@ -88,12 +88,12 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collec
         OutputError: it cannot be written, or another process is writing it, whose number is named.
     """
     check_writable(path, kind)
-    made: list[Path] = []
+    parents: list[Path] = []
     with ExitStack() as ends:
         with named(path):
             target = _place(path) if kind == "folder" else Path(os.path.realpath(path))
-            made += [parent for parent in (target.parent, *target.parent.parents) if not parent.exists()]
-            ends.callback(_remove_empty, made)
+            parents += [parent for parent in (target.parent, *target.parent.parents) if not parent.exists()]
+            ends.callback(_remove_empty, parents)
             target.parent.mkdir(parents=True, exist_ok=True)
             with undisturbed():
                 lock = home_of(target) / f"{hidden(target)}{LOCK}"
@@ -188,9 +188,9 @@ def atomic_table(path: Path, beside: Sequence[str]) -> Iterator[Path]:
         OutputError: the folder cannot be written.
     """
     with claimed(path.parent, "folder", [path.name, *beside]):
-        target, own = _place(path.parent), [path.name, *beside]
-        alone = not target.is_dir() or {entry.name for entry in target.iterdir()} <= set(own)
-        with _built(target, path, alone and can_be_swapped(target, own), own, path.name) as new:
+        target, names = _place(path.parent), [path.name, *beside]
+        alone = not target.is_dir() or {entry.name for entry in target.iterdir()} <= set(names)
+        with _built(target, path, alone and can_be_swapped(target, names), names, path.name) as new:
             yield new
 
 
