@@ -81,11 +81,11 @@ def apart(R: np.ndarray, first: int) -> np.ndarray:
     Q = np.linalg.qr(R[:, :first])[0]
     rest = R[:, first:] - Q @ (Q.T @ R[:, first:])
     rest -= Q @ (Q.T @ rest)
-    left = np.linalg.norm(rest, axis=0)
-    return np.asarray((left > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _measured(left))
+    length = np.linalg.norm(rest, axis=0)
+    return np.asarray((length > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _is_measurable(length))
 
 
-def _measured(length: float | np.ndarray) -> bool | np.ndarray:
+def _is_measurable(length: float | np.ndarray) -> bool | np.ndarray:
     """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`WORST`."""
     return length * WORST >= 1.0
 
@@ -95,19 +95,19 @@ def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Se
 
     Gram-Schmidt, twice for each column, so that what is left is right to rounding.
     """
-    found, kept = np.empty((len(R), R.shape[1])), list(kept)
+    basis, kept = np.empty((len(R), R.shape[1])), list(kept)
     first = np.linalg.qr(R[:, kept])[0]
-    found[:, : first.shape[1]], count = first, first.shape[1]
+    basis[:, : first.shape[1]], count = first, first.shape[1]
     for k in candidates:
         if k in kept:
             continue
-        Q = found[:, :count]
+        Q = basis[:, :count]
         rest = R[:, k] - Q @ (Q.T @ R[:, k])
         rest -= Q @ (Q.T @ rest)
-        left = float(np.sqrt(rest @ rest))
-        if left > share * length[k] and _measured(left):
+        new_length = float(np.sqrt(rest @ rest))
+        if new_length > share * length[k] and _is_measurable(new_length):
             kept.append(k)
-            found[:, count], count = rest / left, count + 1
+            basis[:, count], count = rest / new_length, count + 1
     return kept
 
 
@@ -122,7 +122,7 @@ def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Seq
     T = np.linalg.qr(R[:, kept], mode="complete")[0].T @ R[:, columns]
     while count:
         moved, direction = _weakest(T[:count, :count])
-        if _measured(moved):
+        if _is_measurable(moved):
             break
         part = np.abs(direction)
         gone = int(np.flatnonzero(part > CARRIES * part.max())[-1])
@@ -131,8 +131,8 @@ def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Seq
         rows = slice(gone, count + 1)
         T[rows, gone:] = np.linalg.qr(T[rows, gone:count], mode="complete")[0].T @ T[rows, gone:]
         for k in range(count, len(columns)):
-            left = float(np.linalg.norm(T[count:, k]))
-            if left > TOLERANCE * length[columns[k]] and _measured(left):
+            new_length = float(np.linalg.norm(T[count:, k]))
+            if new_length > TOLERANCE * length[columns[k]] and _is_measurable(new_length):
                 columns.insert(count, columns.pop(k))
                 T[:, count : k + 1] = np.roll(T[:, count : k + 1], 1, axis=1)
                 T[count:, count:] = np.linalg.qr(T[count:, count : count + 1], mode="complete")[0].T @ T[count:, count:]
@@ -159,11 +159,11 @@ def _weakest(T: np.ndarray) -> tuple[float, np.ndarray]:
 
 def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
     """For each dropped column, the kept ones whose sum imitates it; none if it moves nothing."""
-    moving = [k for k in dropped if kept and _measured(length[k])]
-    found: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
+    moving = [k for k in dropped if kept and _is_measurable(length[k])]
+    partners: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
     if moving:
         shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
         for k, share in zip(moving, shares.T, strict=True):
             largest_first = np.argsort(-np.abs(share))
-            found[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
-    return found
+            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
+    return partners

@@ -220,56 +220,57 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     at_once = linearise(problem, theta, weight, even) if not robust and problem.measured.direct else None
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
-    def noise_at(told: Combined, sigma: np.ndarray) -> np.ndarray:
-        estimate = scale if robust else _estimate(told, sigma)
+    def noise_at(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+        estimate = scale if robust else _noise_of_residuals(equations, sigma)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
-    def steady(told: Combined, sigma: np.ndarray) -> np.ndarray:
+    def steady(equations: Combined, sigma: np.ndarray) -> np.ndarray:
         for _ in range(ESTIMATES):
-            held, sigma = sigma, noise_at(told, sigma)
-            if np.all(np.abs(sigma - held) <= STEADY * held):
+            before_sigma, sigma = sigma, noise_at(equations, sigma)
+            if np.all(np.abs(sigma - before_sigma) <= STEADY * before_sigma):
                 break
         return sigma
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
-    here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
-    told = Combined(here.equations, prior)
-    sigma = noise_at(told, declared(scale))
-    damping, share, taken = 0.0, 1.0, 0
-    while taken < STEPS and damping < MOST_DAMPING:
-        g = told.pull(sigma, theta)
-        combined = solve(told.information(sigma), g, damping)
-        step, length = told.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
+    current = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
+    equations = Combined(current.equations, prior)
+    sigma = noise_at(equations, declared(scale))
+    damping, share, steps = 0.0, 1.0, 0
+    while steps < STEPS and damping < MOST_DAMPING:
+        g = equations.pull(sigma, theta)
+        combined = solve(equations.information(sigma), g, damping)
+        step, length = equations.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
         last = length < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
         step = step if last else share * step
         if last and abreast and not robust:
-            abreast, sigma = False, steady(told, sigma)  # the last step is taken in the noise that stays
+            abreast, sigma = False, steady(equations, sigma)  # the last step is taken in the noise that stays
             continue
         if last and length < UNNOTICED and _has_many(problem):
             step = np.zeros(len(theta))
-            there, trial = problem, here
+            ahead, trial = problem, current
         else:
-            there = problem.stepped(here.step_of_groups(step), here.agreed)
-            trial = linearise(there, theta + step, weight, scale if robust else sigma)
-        before = here.squares(here.weight, sigma, channels) + told.squares(theta)
-        after = trial.squares(here.weight, sigma, channels) + told.squares(theta + step)
-        taken += 1
+            ahead = problem.stepped(current.step_of_groups(step), current.agreed)
+            trial = linearise(ahead, theta + step, weight, scale if robust else sigma)
+        before = current.squares(current.weight, sigma, channels) + equations.squares(theta)
+        after = trial.squares(current.weight, sigma, channels) + equations.squares(theta + step)
+        steps += 1
         if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
-            told = told if trial is here else Combined(trial.equations, prior)
-            problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
-            scale = robust_sigma(here.residual, channels) if robust else scale
-            sigma, share = noise_at(told, sigma), min(1.0, 2.0 * share)
+            equations = equations if trial is current else Combined(trial.equations, prior)
+            problem, theta, current = ahead, theta + step, trial
+            damping = 0.0 if damping < FIRST_DAMPING else damping / 10
+            scale = robust_sigma(current.residual, channels) if robust else scale
+            sigma, share = noise_at(equations, sigma), min(1.0, 2.0 * share)
         elif length < NEAR and share > SHORTEST:
             share /= 4.0
         else:
             damping, share = max(10 * damping, FIRST_DAMPING), 1.0
         if last:
             break
-    sigma = sigma if robust else steady(told, sigma)
-    g = told.pull(sigma, theta)
-    asked = float(solve(told.information(sigma), g) @ g)
-    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(asked, 0.0))), problem)
+    sigma = sigma if robust else steady(equations, sigma)
+    g = equations.pull(sigma, theta)
+    square = float(solve(equations.information(sigma), g) @ g)
+    return Minimum(theta, current, sigma, steps, float(np.sqrt(max(square, 0.0))), problem)
 
 
 def fit(
@@ -288,7 +289,7 @@ def fit(
     steps, limit = 0, limits(data)
     searching = weight is None
     if weight is None:
-        some = _enough(problem)
+        some = _rows_for_rough_fit(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
         problem = things_again(problem.with_states(rough.question.states), theta)
@@ -297,28 +298,28 @@ def fit(
         some = thin(problem.rows, AHEAD)
         theta = minimise(problem.select(some), theta, weight[some], prior).theta
     for _ in range(FLAGGING):
-        found = minimise(problem, theta, weight, prior)
-        problem, theta, steps = found.question, found.theta, steps + found.steps
-        again = np.where(flagged(found.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
-        if np.array_equal(again, weight):
+        minimum = minimise(problem, theta, weight, prior)
+        problem, theta, steps = minimum.question, minimum.theta, steps + minimum.steps
+        new_weight = np.where(flagged(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        if np.array_equal(new_weight, weight):
             break
-        weight = again
-    equations, sigma = found.at.equations, found.sigma
-    told = Combined(equations, prior)
-    inner = inverse(told.information(sigma), ridge=0.0)
+        weight = new_weight
+    equations, sigma = minimum.at.equations, minimum.sigma
+    combined = Combined(equations, prior)
+    inner = inverse(combined.information(sigma), ridge=0.0)
     H = equations.information(sigma) + (0.0 if prior is None else prior.precision)
     return Fit(
         model=replace(model, instruments=problem.instruments, states=problem.states) if problem.states else model,
         theta=theta,
-        covariance=told.covariance(inner),
+        covariance=combined.covariance(inner),
         sigma=sigma,
-        estimated=_estimate(told, sigma),
-        weight=found.at.weight,
-        residual=found.at.residual,
+        estimated=_noise_of_residuals(combined, sigma),
+        weight=minimum.at.weight,
+        residual=minimum.at.residual,
         candidates=model.coefficients,
         redundant={},
-        convergence=Convergence(steps, found.gradient, condition(H)),
-        spent=float(told.equations.spent(inner, sigma).sum()),
+        convergence=Convergence(steps, minimum.gradient, condition(H)),
+        spent=float(combined.equations.spent(inner, sigma).sum()),
         numbers=float(equations.count.sum()),
         believed=np.zeros((len(theta), len(theta))),
     )
@@ -338,7 +339,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
     model = problem.model
     theta = np.zeros(len(model.coefficients))
     sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
-    some = _enough(problem)
+    some = _rows_for_rough_fit(problem)
     share = np.full(len(some), len(problem) / len(some))
     sizes = model.sizes
     subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
@@ -346,7 +347,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
-        narrowed = _narrowed(problem, kept)
+        narrowed = _of_fewer_coefficients(problem, kept)
         result = fit(narrowed, theta[kept])
         problem = problem.with_states(result.model.states)
         theta = np.zeros(len(model.coefficients))
@@ -358,14 +359,14 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         if sorted(subset.kept) == kept:
             break
     if groups and result.numbers < PLENTY * len(kept):
-        result, subset = _of_few(problem, order, groups, replace(result, theta=theta), subset)
+        result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
 
 
-def _of_few(
-    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, told: Subset
+def _fit_few_rows(
+    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, free_subset: Subset
 ) -> tuple[Fit, Subset]:
     """The fit of rows so few that something must be believed of the constants, and which of these it has.
 
@@ -376,24 +377,26 @@ def _of_few(
         order: As for :func:`fit_identifiable`.
         groups: Likewise.
         free: A free fit of those that these rows tell, with values of all, the others zero.
-        told: Which these are.
+        free_subset: Which these are.
     """
-    model, kept = problem.model, sorted(told.kept)
+    model, kept = problem.model, sorted(free_subset.kept)
     constants = [k for group in groups for k in group]
     theta = free.theta.copy()
     theta[constants] = 0.0
     R = triangle(problem, theta, free.weight, free.sigma)
     if problem.measured.direct:
-        R = np.asarray(np.linalg.qr(np.vstack([R, _elsewhere(problem, theta, free.sigma)]), mode="r"))
+        R = np.asarray(np.linalg.qr(np.vstack([R, _columns_elsewhere(problem, theta, free.sigma)]), mode="r"))
     # Of frames nothing is believed: those that these rows do not tell stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
     every = sorted(subset.kept)
     begin = replace(free, theta=theta[every])
-    left = {k: why for k, why in told.redundant.items() if k not in every} | subset.redundant
-    return shrunk(_narrowed(problem, every), begin, _stood_for(R, every, groups)), replace(subset, redundant=left)
+    redundant = {k: why for k, why in free_subset.redundant.items() if k not in every} | subset.redundant
+    return shrunk(_of_fewer_coefficients(problem, every), begin, _motions_of_groups(R, every, groups)), replace(
+        subset, redundant=redundant
+    )
 
 
-def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def _columns_elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Columns of all candidates where the joints' readings are combined otherwise than in the rows, (numbers, candidates)."""
     data, rng = problem.data, np.random.default_rng(0)
     some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
@@ -404,7 +407,7 @@ def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.nda
     return np.asarray((J[:, :numbers] / spread(sigma, problem.channels)[:, None]).reshape(-1, len(theta)))
 
 
-def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
+def _motions_of_groups(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
     r"""For each group of candidates how the fitted coefficients move with it: T of :math:`J = J_{kept} T`, shape (K, n_g) each.
 
     Args:
@@ -445,24 +448,24 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     fitted, theta = free, free.theta.copy()
     theta[believed] = 0.0
     precision = np.zeros((len(theta), len(theta)))
-    told = free.numbers - len(theta) >= TELLING
+    noise_known = free.numbers - len(theta) >= TELLING
     finest = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
     for _ in range(ESTIMATES):
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
         prior = Prior(np.zeros(len(theta)), precision.copy())
-        asked = problem.with_states(fitted.model.states)
-        fitted = fit(asked, theta, free.weight, prior)
-        if not told and np.any(fitted.sigma < finest):
+        question = problem.with_states(fitted.model.states)
+        fitted = fit(question, theta, free.weight, prior)
+        if not noise_known and np.any(fitted.sigma < finest):
             sigma = np.maximum(fitted.sigma, finest).tolist()
-            fitted = fit(replace(asked, data=with_sigma(asked.data, sigma)), theta, free.weight, prior)
+            fitted = fit(replace(question, data=with_sigma(question.data, sigma)), theta, free.weight, prior)
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):
             gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]  # of the constants on what is fitted
-            known = float(np.trace(gain @ second @ gain.T))
-            left = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
-            sizes[g] = np.sqrt((BELIEVED * USUAL**2 + known + left) / (BELIEVED + T.shape[1]))
+            size_of_means = float(np.trace(gain @ second @ gain.T))
+            size_of_doubts = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
+            sizes[g] = np.sqrt((BELIEVED * USUAL**2 + size_of_means + size_of_doubts) / (BELIEVED + T.shape[1]))
         if np.all(np.abs(sizes / before - 1.0) < CLOSE):
             break
     return replace(fitted, believed=precision)
@@ -473,7 +476,7 @@ def _has_many(problem: Problem) -> bool:
     return len(problem) > 2 * AHEAD and problem.measured.direct
 
 
-def _enough(problem: Problem) -> np.ndarray:
+def _rows_for_rough_fit(problem: Problem) -> np.ndarray:
     """Row numbers of a choice that is large enough for all coefficients, whatever a row measures."""
     numbers = sum(channel.size for channel in problem.channels) / len(problem.channels)
     most = max(ROUGH_ROWS, 4 * len(problem.model.coefficients))
@@ -492,24 +495,24 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
         order = rng.permutation(len(groups.unknown))[groups.row]
         return np.flatnonzero(order <= np.partition(order, most)[most])
     pair = rows.world * (rows.tip.max() + 1) + rows.tip
-    chosen = []
+    choices = []
     for k in np.unique(pair):
-        own = np.flatnonzero(pair == k)
-        share = max(most * len(own) // len(rows), min(len(own), FEWEST))
-        chosen.append(rng.choice(own, share, replace=False))
-    return np.sort(np.concatenate(chosen))
+        rows_of_pair = np.flatnonzero(pair == k)
+        share = max(most * len(rows_of_pair) // len(rows), min(len(rows_of_pair), FEWEST))
+        choices.append(rng.choice(rows_of_pair, share, replace=False))
+    return np.sort(np.concatenate(choices))
 
 
-def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
+def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
     """The same rows for fewer coefficients: their bases follow."""
     if len(kept) == len(problem.model.coefficients):
         return problem
     return replace(problem, measured=problem.measured.narrowed(kept))
 
 
-def _estimate(told: Combined, sigma: np.ndarray) -> np.ndarray:
+def _noise_of_residuals(combined: Combined, sigma: np.ndarray) -> np.ndarray:
     """Noise of each channel from the residuals, shape (C,): sum of squares over the degrees of freedom that it has left."""
-    equations = told.equations
-    freedom = equations.count - equations.spent(inverse(told.information(sigma), ridge=0.0), sigma)
-    left = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
-    return np.where(freedom > LEAST_FREEDOM, np.maximum(left, FLOOR), sigma)
+    equations = combined.equations
+    freedom = equations.count - equations.spent(inverse(combined.information(sigma), ridge=0.0), sigma)
+    sigma_of_residuals = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
+    return np.where(freedom > LEAST_FREEDOM, np.maximum(sigma_of_residuals, FLOOR), sigma)

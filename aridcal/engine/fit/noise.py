@@ -56,28 +56,28 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     rows, residual = rows.select(first), residual if first.all() else residual[first]
     label = places(rows)
     size = np.bincount(label)
-    own = size[label] > 1
+    repeated = size[label] > 1
     groups = int((size > 1).sum())
     if groups == 0:
         return None
     total = np.zeros((len(size), residual.shape[1]))
     np.add.at(total, label, residual)
     centre = total[label] / size[label, None]
-    off = (residual - centre)[own]
+    off = (residual - centre)[repeated]
     # The centre is estimated from the same rows: distances come out too short by this factor.
-    n = size[label[own]]
+    n = size[label[repeated]]
     sigma, freedom, distances = [], [], [np.empty(0)]
     of_targets = [block.traits.tracked for block in rows.blocks for _ in block.channels]
-    parts = zip(rows.channels, columns(rows.channels), rows.measures[own].T, of_targets, strict=True)
+    parts = zip(rows.channels, columns(rows.channels), rows.measures[repeated].T, of_targets, strict=True)
     for channel, part, there, of_target in parts:
-        few = there.sum() - len(np.unique(label[own][there]))
+        few = there.sum() - len(np.unique(label[repeated][there]))
         freedom.append(float(channel.size * few))
         sigma.append(float(np.sqrt(np.sum(off[there][:, part] ** 2) / freedom[-1])) if few else np.nan)
         if of_target and channel.axes == TARGET_POSITION.axes:
             distances.append(np.linalg.norm(off[there][:, part], axis=1) * np.sqrt(n[there] / (n[there] - 1.0)))
     distance = np.concatenate(distances)
     spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
-    return Repeats(groups, int(own.sum()), np.array(sigma), np.array(freedom), spread)
+    return Repeats(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
 
 
 def copies(rows: Dataset) -> np.ndarray:
@@ -112,13 +112,13 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
         estimated: Noise that the residuals show, shape (C,).
         numbers: Degrees of freedom behind it.
     """
-    said = []
+    notices = []
     for channel, ratio in zip(rows.channels, contradicted(rows, estimated, numbers).tolist(), strict=True):
         if ratio != 1.0:
             small = "an error remains, or the declared noise is too small"
             meaning = small if ratio > 1 else "the declared noise is too large"
-            said.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
-    return said
+            notices.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
+    return notices
 
 
 def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:

@@ -78,23 +78,23 @@ class NormalEquations:
         """Those of some of the unknowns."""
         return NormalEquations(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
 
-    def bordered(self, cross: np.ndarray, own: np.ndarray, pull: np.ndarray) -> NormalEquations:
+    def bordered(self, cross: np.ndarray, among: np.ndarray, pull: np.ndarray) -> NormalEquations:
         """Those with d columns added, of which all products are known.
 
         Args:
             cross: With the columns that are there, shape (C, K, d).
-            own: With one another, shape (C, d, d).
+            among: With one another, shape (C, d, d).
             pull: With the right-hand side, shape (C, d).
         """
-        return NormalEquations(_bordered(self.AA, cross, own), np.hstack([self.Ar, pull]), self.rr, self.count)
+        return NormalEquations(_bordered(self.AA, cross, among), np.hstack([self.Ar, pull]), self.rr, self.count)
 
     def combined(self, T: np.ndarray) -> NormalEquations:
         """Those with the last d unknowns replaced by combinations of them, T of shape (d, new)."""
         first = self.AA.shape[1] - len(T)
         kept, replaced = slice(first), slice(first, None)
         cross = self.AA[:, kept, replaced] @ T
-        own = T.T @ self.AA[:, replaced, replaced] @ T
-        AA = _bordered(self.AA[:, kept, kept], cross, own)
+        among = T.T @ self.AA[:, replaced, replaced] @ T
+        AA = _bordered(self.AA[:, kept, kept], cross, among)
         pull = self.Ar[:, replaced] @ T
         return NormalEquations(AA, np.hstack([self.Ar[:, kept], pull]), self.rr, self.count)
 
@@ -134,8 +134,8 @@ def directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     size = np.sqrt(np.einsum("guu->gu", H))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > UNTOLD * np.maximum(values[:, -1:], TINY)
-    return np.where(told, values, np.inf), vectors, scale
+    informed = values > UNTOLD * np.maximum(values[:, -1:], TINY)
+    return np.where(informed, values, np.inf), vectors, scale
 
 
 def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
@@ -145,14 +145,14 @@ def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
     S, scale = balanced(H, ridge)
     factor, failed = dpotrf(S.T, lower=1)  # symmetric; transposed, LAPACK need not turn it first
     if failed:
-        found = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
+        result = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
     else:
         lower = dpotri(factor, lower=1, overwrite_c=1)[0]
-        found = np.asarray(lower + lower.T)  # nothing stands above the diagonal
-        found.flat[:: len(H) + 1] *= 0.5
-    found *= scale
-    found *= scale[:, None]
-    return found
+        result = np.asarray(lower + lower.T)  # nothing stands above the diagonal
+        result.flat[:: len(H) + 1] *= 0.5
+    result *= scale
+    result *= scale[:, None]
+    return result
 
 
 def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0) -> np.ndarray:
@@ -170,8 +170,8 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
     S.flat[:: len(H) + 1] += damping
     pull = (g.T * scale).T
     factor, failed = dpotrf(S.T, lower=1, clean=0)
-    found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
-    return np.asarray((found.T * scale).T)
+    solution = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
+    return np.asarray((solution.T * scale).T)
 
 
 def shortest(H: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -206,12 +206,12 @@ def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
         alone = np.pad(solve(H[:first, :first], g[:first], ridge=RIDGE), (0, len(g) - first))
         return np.stack([alone, solve(H, g, ridge=RIDGE)], axis=1)
     forward = solve_triangular(factor, g * scale, lower=True, check_finite=False)
-    found = np.zeros((len(g), 2))
+    solutions = np.zeros((len(g), 2))
     # The factor of a leading block is the leading block of the factor.
     for k, count in enumerate((first, len(g))):
         leading = factor[:count, :count]
-        found[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
-    return found * scale[:, None]
+        solutions[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
+    return solutions * scale[:, None]
 
 
 def conditional(
@@ -247,8 +247,8 @@ def root_of_inverse(M: np.ndarray, share: float) -> np.ndarray:
     if not failed and dpocon(factor, np.abs(S).sum(axis=0).max(), uplo="L")[0] > SURE * share:
         return np.asarray(dtrtri(factor, lower=1)[0] * scale)
     values, vectors = np.linalg.eigh(S)
-    kept = values > share * max(float(values[-1]), np.finfo(float).tiny)
-    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T * scale)
+    informed = values > share * max(float(values[-1]), np.finfo(float).tiny)
+    return np.asarray((vectors[:, informed] / np.sqrt(values[informed])).T * scale)
 
 
 def pseudo_inverse(H: np.ndarray, share: float) -> tuple[np.ndarray, int]:
@@ -274,7 +274,7 @@ def last_log_determinant(H: np.ndarray, first: int) -> float:
 
 
 def added(
-    equations: NormalEquations, precision: np.ndarray, known: np.ndarray, spent: np.ndarray, sigma: np.ndarray
+    equations: NormalEquations, precision: np.ndarray, inverse_before: np.ndarray, spent: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Solution when d unknowns are added, and what each channel gives up then, from the inverse without them.
 
@@ -287,21 +287,21 @@ def added(
     Args:
         equations: Of K unknowns a and, after them, d unknowns b.
         precision: Of the prior of all, block by block, shape (K + d, K + d).
-        known: H_aa^-1 with its prior, shape (K, K).
+        inverse_before: H_aa^-1 with its prior, shape (K, K).
         spent: Degrees of freedom that each channel gives up without the unknowns b, shape (C,).
         sigma: The noise that both are for, shape (C,).
 
     Returns:
         theta, shape (K + d,), and the degrees of freedom with all, shape (C,).
     """
-    K = len(known)
+    K = len(inverse_before)
     H, g = equations.information(sigma) + precision, equations.pull(sigma)
-    W = known @ H[:K, K:]
+    W = inverse_before @ H[:K, K:]
     S = inverse(H[K:, K:] - H[K:, :K] @ W)
     last = S @ (g[K:] - W.T @ g[:K])
-    theta = np.concatenate([known @ g[:K] - W @ last, last])
-    left, size = g - H @ theta, np.maximum(np.diag(H), TINY)
-    if not np.sum(left**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
+    theta = np.concatenate([inverse_before @ g[:K] - W @ last, last])
+    remainder, size = g - H @ theta, np.maximum(np.diag(H), TINY)
+    if not np.sum(remainder**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
         theta = solve(H, g, ridge=RIDGE)
     cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
     more = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
@@ -357,8 +357,8 @@ class Combined:
         g = self.equations.pull(sigma)
         if self._prior is None:
             return g
-        wanted = self._prior.precision @ (self._prior.mean - theta)
-        return np.asarray(g + _transposed(self._blocks, wanted[:, None])[:, 0])
+        pull_of_prior = self._prior.precision @ (self._prior.mean - theta)
+        return np.asarray(g + _transposed(self._blocks, pull_of_prior[:, None])[:, 0])
 
     def squares(self, theta: np.ndarray) -> float:
         """How far coefficients are from what is believed of them, squared, in sigmas."""

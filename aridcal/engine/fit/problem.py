@@ -120,11 +120,11 @@ class Problem:
             r, twists = self.of_joints(theta, part)
             J = self.model.of_coefficients(twists, here.rows)
             return Pieces(r, J, np.zeros((*r.shape, 0)), here.rows.positions)
-        seen = here.sight(theta)
-        none = np.zeros((*seen.residual.shape, 0))
-        B = none if self.groups is None else self.groups.columns(seen.by_thing, part)
-        r, J, B = (scaled(values, relative) for values in (seen.residual, seen.by_coefficient, B))
-        return Pieces(r, J, B, seen.agreed)
+        views = here.sight(theta)
+        none = np.zeros((*views.residual.shape, 0))
+        B = none if self.groups is None else self.groups.columns(views.by_thing, part)
+        r, J, B = (scaled(values, relative) for values in (views.residual, views.by_coefficient, B))
+        return Pieces(r, J, B, views.agreed)
 
     def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
         """Scaled residuals (n, m) of a stretch of direct rows, and what joints take off them, (n, m, joints)."""
@@ -149,9 +149,9 @@ class Problem:
         count = np.zeros(len(self.channels))
         if self.groups is None:
             return count
-        used = (weight > 0.0) & (self.groups.row >= 0)
+        in_use = (weight > 0.0) & (self.groups.row >= 0)
         sizes = self.groups.unknown.sum(axis=1)
-        pair = self.groups.row[used] * len(count) + self.data.measures[used].argmax(axis=1)
+        pair = self.groups.row[in_use] * len(count) + self.data.measures[in_use].argmax(axis=1)
         rows = np.bincount(pair, minlength=len(sizes) * len(count)).reshape(len(sizes), len(count))
         return np.asarray(sizes @ (rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)))
 
@@ -170,10 +170,12 @@ class Problem:
     def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
         """The same with the groups' unknowns moved, shape (G, U), and differentiated at positions (N, joints) if given."""
         states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
-        seen = replace(self.measured, states=states)
+        predictions = replace(self.measured, states=states)
         if agreed is not None:
-            seen = replace(seen, agreed=self._rows_at(agreed) if seen.wide is not None else seen.rows)
-        return replace(self, measured=seen)
+            predictions = replace(
+                predictions, agreed=self._rows_at(agreed) if predictions.wide is not None else predictions.rows
+            )
+        return replace(self, measured=predictions)
 
     def _rows_at(self, positions: np.ndarray) -> Rows:
         """The rows at other joint positions, shape (N, joints)."""
@@ -193,8 +195,8 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    seen = measured(model, data)
-    return Problem(data, seen, groups(seen), progress)
+    predictions = measured(model, data)
+    return Problem(data, predictions, groups(predictions), progress)
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

@@ -81,7 +81,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
-    parts, used, nearer = [], [], []
+    parts, weights, nearer = [], [], []
     local = question.local
     for block in question.blocks():
         if local is not None:
@@ -92,26 +92,26 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
             AA += local.information(twists, phi, columns(channels))
             Ar += local.pull(twists, phi, r * root, columns(channels))
             parts.append(r)
-            used.append(w)
+            weights.append(w)
             continue
         pieces = question.pieces(theta, block)
         r, J, B = pieces.r, pieces.J, pieces.B
         nearer.append(pieces.agreed)
-        seen = np.where(question.measured[block].absent, np.nan, r)
-        w = cauchy(seen, sigma, channels) if weight is None else weight[block]
+        numbers = np.where(question.measured[block].absent, np.nan, r)
+        w = cauchy(numbers, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.repeats.share)[:, None]
         if sums is not None:
-            own, wide = root[:, :, None], question.group_of(block)
-            sums.add(wide, B * own, J * own, r * root, channels)
+            root_of_rows, group = root[:, :, None], question.group_of(block)
+            sums.add(group, B * root_of_rows, J * root_of_rows, r * root, channels)
         for rows, some, X in _by_limb(question, block, J, MANY):
             for k, part in enumerate(columns(channels)):
                 # Number by number: rows run fastest in J, or slowest.
                 A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
                 AA[k][np.ix_(some, some)] += (A @ A.transpose(0, 2, 1)).sum(axis=0)
                 Ar[k][some] += (A @ (r[rows, part] * root[rows]).T[:, :, None])[:, :, 0].sum(axis=0)
-        parts.append(seen)
-        used.append(w)
-    residual, weight = np.concatenate(parts), np.concatenate(used)
+        parts.append(numbers)
+        weights.append(w)
+    residual, weight = np.concatenate(parts), np.concatenate(weights)
     parts.clear()
     counted = weight * question.data.repeats.share
     rr = weighted_squares(residual, counted, channels)
@@ -119,9 +119,9 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     beforehand, at = question.beforehand(), np.concatenate(nearer) if nearer else question.rows.positions
     if sums is None or question.groups is None or beforehand is None:
         return Linearisation(residual, weight, equations, at)
-    found = solved(sums, question.groups, beforehand, sigma)
-    equations = reduced(equations, sums, found, beforehand, sigma)
-    return Linearisation(residual, weight, equations, at, found)
+    elimination = solved(sums, question.groups, beforehand, sigma)
+    equations = reduced(equations, sums, elimination, beforehand, sigma)
+    return Linearisation(residual, weight, equations, at, elimination)
 
 
 def _sums(question: Problem, count: int) -> Sums | None:
@@ -217,9 +217,9 @@ def triangle(
         for _, some, X in _by_limb(question, block, whitened):
             flat = X.reshape(X.shape[0] * X.shape[1], len(some))
             for start in range(0, len(flat), NUMBERS):
-                own = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
-                parts.append(np.zeros((len(own), count)))
-                parts[-1][:, some] = own
+                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+                parts.append(np.zeros((len(triangle_of_part), count)))
+                parts[-1][:, some] = triangle_of_part
         R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return R
 
@@ -233,10 +233,10 @@ def _by_limb(
     """
     limbs = question.limbs(block)
     for rows in limbs:
-        own, some = J[rows], np.arange(J.shape[2])
+        columns_of_limb, some = J[rows], np.arange(J.shape[2])
         if len(limbs) > 1 or len(some) > many:
-            some = np.flatnonzero(own.any(axis=(0, 1)))
-        yield rows, some, own[:, :, some] if len(some) < J.shape[2] else own
+            some = np.flatnonzero(columns_of_limb.any(axis=(0, 1)))
+        yield rows, some, columns_of_limb[:, :, some] if len(some) < J.shape[2] else columns_of_limb
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:

@@ -92,9 +92,9 @@ class Scatter:
     def gather(self) -> csr_array:
         """Sums over the rows of each clump, shape (clumps, N)."""
         assert self.clump is not None
-        own = np.flatnonzero(self.clump >= 0)
+        in_clump = np.flatnonzero(self.clump >= 0)
         shape = (int(self.clump.max(initial=-1)) + 1, len(self.clump))
-        return coo_array((np.ones(len(own)), (self.clump[own], own)), shape=shape).tocsr()
+        return coo_array((np.ones(len(in_clump)), (self.clump[in_clump], in_clump)), shape=shape).tocsr()
 
     def summed(self, values: np.ndarray) -> np.ndarray:
         """Sums of values, shape (N, ...), over the rows of each clump, shape (clumps, ...)."""
@@ -163,7 +163,7 @@ class _White:
 
 def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     """The same with columns besides that are orthonormal at some variances, shape (C,), and residuals that are small there."""
-    white, plain = _white(scatter, variance), scatter.columns
+    white, plain = _whiten(scatter, variance), scatter.columns
     if white is None:
         return scatter
     _, U, z, factor, scale = _equations(replace(scatter, near=None), white)
@@ -171,18 +171,18 @@ def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     prior = plain.precision * scale * scale[:, None] + np.diag(RIDGE + (scale == 0.0))
     half = solve_triangular(factor, prior, lower=True, check_finite=False)
     precision = solve_triangular(factor, half.T, lower=True, check_finite=False)
-    T = _divided(U, factor, scale)
-    left = (white.L @ (z - T @ t).reshape(*scatter.y.shape, 1))[:, :, 0]
+    T = _over_factor(U, factor, scale)
+    remainder = (white.L @ (z - T @ t).reshape(*scatter.y.shape, 1))[:, :, 0]
     slope = precision @ t
     offset = _logdet(factor, scale) + float(slope @ t)
     A = T.astype(np.float32).reshape(scatter.A.shape)
-    return replace(scatter, near=Columns(left, A, precision, white.L, slope, offset))
+    return replace(scatter, near=Columns(remainder, A, precision, white.L, slope, offset))
 
 
 def place(scatter: Scatter, theta: np.ndarray) -> Place:
     """The likelihood at some variances, shape (C,); none at all where a channel is exact beside what else scatters."""
     n, m, count = scatter.A.shape
-    white = _white(scatter, theta)
+    white = _whiten(scatter, theta)
     if white is None:
         nothing = np.zeros((n, m, m))
         return Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
@@ -190,21 +190,21 @@ def place(scatter: Scatter, theta: np.ndarray) -> Place:
     t = solve_triangular(factor, scale * (z.astype(U.dtype) @ U - columns.slope), lower=True, check_finite=False)
     best = scale * solve_triangular(factor, t, trans=1, lower=True, check_finite=False)
     logdet = white.logdet + _logdet(factor, scale)
-    T = U if np.may_share_memory(U, columns.A) else _divided(U, factor, scale)
-    rows, left = T.reshape(n, m, count), np.eye(m)
+    T = U if np.may_share_memory(U, columns.A) else _over_factor(U, factor, scale)
+    rows, projection = T.reshape(n, m, count), np.eye(m)
     if white.Q is not None:
-        left = left - white.Q @ white.Q.transpose(0, 2, 1)
-    left = left - rows @ rows.transpose(0, 2, 1)
+        projection = projection - white.Q @ white.Q.transpose(0, 2, 1)
+    projection = projection - rows @ rows.transpose(0, 2, 1)
     back = white.root.transpose(0, 2, 1)
     e = z - T @ t.astype(T.dtype)
     pull = back @ e.reshape(n, m, 1)
     # Not z'z less t't, of which rounding may be more than is left.
     squares = float(e @ e) + float(best @ (columns.precision @ best + 2.0 * columns.slope))
     value = -0.5 * (logdet + squares + columns.offset)
-    return Place(value, pull[:, :, 0], back @ left @ white.root, white.root, T, white.Q)
+    return Place(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
 
 
-def _white(scatter: Scatter, theta: np.ndarray) -> _White | None:
+def _whiten(scatter: Scatter, theta: np.ndarray) -> _White | None:
     """Rows at some variances, shape (C,); None where the covariance of one is not positive."""
     V = covariances(scatter, theta)
     try:
@@ -221,8 +221,8 @@ def _white(scatter: Scatter, theta: np.ndarray) -> _White | None:
 
 def covariances(scatter: Scatter, theta: np.ndarray) -> np.ndarray:
     """V of each row, shape (N, m, m)."""
-    used = theta > 0.0
-    return np.asarray(np.tensordot(theta[used], scatter.blocks[used], axes=1) + scatter.stated)
+    positive = theta > 0.0
+    return np.asarray(np.tensordot(theta[positive], scatter.blocks[positive], axes=1) + scatter.stated)
 
 
 def _orthonormal(scatter: Scatter, W: np.ndarray) -> tuple[np.ndarray, float]:
@@ -271,7 +271,7 @@ def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.nda
     return U.reshape(-1, U.shape[2]), z.ravel()
 
 
-def _divided(U: np.ndarray, factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def _over_factor(U: np.ndarray, factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """U times scale over the transposed factor, in place of U."""
     # The scale goes into the factor: U is long. What moves nothing has a column of zeros.
     whole = (factor / np.where(scale > 0.0, scale, 1.0)[:, None]).astype(U.dtype, order="C")
@@ -291,11 +291,11 @@ def derivatives(scatter: Scatter, here: Place, of: np.ndarray) -> tuple[np.ndarr
     score, information = np.zeros(len(of)), np.zeros((len(of),) * 2)
     score[of] = 0.5 * (np.tensordot(moved, here.pull, 2) - np.tensordot(blocks, here.kernel, 3))
     white = (here.root @ moved[:, :, :, None])[:, :, :, 0]
-    told = np.zeros((len(moved),) * 2)
+    products = np.zeros((len(moved),) * 2)
     if here.Q is not None:
-        own = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
-        told -= own.T @ own
+        along_things = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
+        products -= along_things.T @ along_things
     white = white.reshape(len(moved), -1)
     along = (white.astype(here.T.dtype) @ here.T).astype(float)
-    information[np.ix_(of, of)] = 0.5 * (told + white @ white.T - along @ along.T)
+    information[np.ix_(of, of)] = 0.5 * (products + white @ white.T - along @ along.T)
     return score, information

@@ -76,7 +76,7 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         return None
     mean = float(np.mean(squares)) / size
     normal = float(np.sum(log_density(squares / mean, size, np.inf))) - 0.5 * size * len(squares) * np.log(mean)
-    best, found = normal + GAIN, None
+    best, tails = normal + GAIN, None
     for freedom in FREEDOMS:
         variance = middle / size
         for _ in range(STEPS):
@@ -84,5 +84,5 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         value = float(np.sum(log_density(squares / variance, size, freedom)))
         value -= 0.5 * size * len(squares) * np.log(variance)
         if value > best:
-            best, found = value, Tails(freedom, float(np.sqrt(variance)))
-    return found
+            best, tails = value, Tails(freedom, float(np.sqrt(variance)))
+    return tails
