@@ -96,7 +96,7 @@ def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) ->
 
 
 def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
-    placed: dict[Effect, Effect] = {}
+    steps_of: dict[Effect, Effect] = {}
     for of in dict.fromkeys(e.covariates[0] for e in templates):
         values = model.table[of][state.used]
         before, points = step_points(values)
@@ -106,23 +106,27 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
         possible = {}
         for effect in (e for e in templates if e.covariates[0] == of):
             slots = model.slots_of(effect)
-            mine = _between_its_rows(model, state, values, slots, before)
-            if mine.any():
-                possible[effect] = slots, mine
+            possible_steps = _between_its_rows(model, state, values, slots, before)
+            if possible_steps.any():
+                possible[effect] = slots, possible_steps
         if not possible:
             continue
-        groups = [(slots, before[mine]) for slots, mine in possible.values()]
-        best = _Scan.of(state, of, groups).best(groups) if model.off is None else _tried(model, state, values, groups)
-        for (effect, (_, mine)), place in zip(possible.items(), best, strict=True):
-            placed[effect] = effect.placed(float(points[mine][place]))
-    return [placed[effect] for effect in templates if effect in placed]
+        groups = [(slots, before[possible_steps]) for slots, possible_steps in possible.values()]
+        best = (
+            _Scan.of(state, of, groups).best(groups)
+            if model.off is None
+            else _best_one_by_one(model, state, values, groups)
+        )
+        for (effect, (_, possible_steps)), place in zip(possible.items(), best, strict=True):
+            steps_of[effect] = effect.placed(float(points[possible_steps][place]))
+    return [steps_of[effect] for effect in templates if effect in steps_of]
 
 
 # Slots that move together, and the rows before each of the steps that they may have, ascending.
 Group = tuple[Sequence[int], np.ndarray]
 
 
-def _tried(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
     """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
@@ -170,16 +174,16 @@ class _Scan:
     def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
         """The sums for some groups of slots, rows in the order of a covariate."""
         model = state.model
-        own = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
+        moving = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
         order = np.argsort(model.table[of], kind="stable")
-        used = state.used[order]
-        row, sigma = np.flatnonzero(used), state.sigma[:, None]
-        g = model.G[:, :, own][order] * (used[:, None] / state.sigma)[:, :, None]
+        in_use = state.used[order]
+        row, sigma = np.flatnonzero(in_use), state.sigma[:, None]
+        g = model.G[:, :, moving][order] * (in_use[:, None] / state.sigma)[:, :, None]
         members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
         turned, right = g[row].transpose(0, 2, 1), state.residual[order[row], :, None] / sigma
         sums = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
         squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
-        return cls(state, {slot: k for k, slot in enumerate(own)}, g / sigma, squares, pulls, members, row)
+        return cls(state, {slot: k for k, slot in enumerate(moving)}, g / sigma, squares, pulls, members, row)
 
     def best(self, groups: Sequence[Group]) -> list[int]:
         """Index of the step of each group that explains most."""
@@ -187,14 +191,14 @@ class _Scan:
         nodes = self._nodes(every)
 
         def best_of(slots: Sequence[int], before: np.ndarray) -> int:
-            own = [self.slots[slot] for slot in slots]
+            columns = [self.slots[slot] for slot in slots]
 
             def promising(rough: np.ndarray) -> np.ndarray:
-                seems = self._explained(own, rough, nodes.between(rough, own))
+                seems = self._explained(columns, rough, nodes.between(rough, columns))
                 return np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
 
             def exactly(rows: np.ndarray) -> np.ndarray:
-                return self._explained(own, rows, self._taken(self._shared(own, rows, nodes)))
+                return self._explained(columns, rows, self._taken(self._shared(columns, rows, nodes)))
 
             return _best(before, exactly, promising)
 
@@ -206,10 +210,10 @@ class _Scan:
         shared = self._shared(range(len(self.slots)), before)
         return _Nodes(before, shared, self._taken(shared))
 
-    def _explained(self, own: Sequence[int], before: np.ndarray, taken: np.ndarray) -> np.ndarray:
+    def _explained(self, columns: Sequence[int], before: np.ndarray, products: np.ndarray) -> np.ndarray:
         """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
-        squares = self.squares[before][:, own][:, :, own]
-        return explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))[0]
+        squares = self.squares[before][:, columns][:, :, columns]
+        return explained(squares - products, self.pulls[before][:, columns], np.einsum("kss->ks", squares))[0]
 
     def _taken(self, shared: np.ndarray) -> np.ndarray:
         """What the model takes up of products of columns, shape (k, d, d), from those with the members' columns, (k, d, W)."""
@@ -220,18 +224,18 @@ class _Scan:
             (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape) @ np.swapaxes(shared, 1, 2)
         )
 
-    def _shared(self, own: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
+    def _shared(self, columns: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
         """C'A of some columns and the members' before some rows, ascending, shape (k, d, W), summed from the nodes on."""
-        G = self.G[:, :, own]
-        done, total = 0, np.zeros((len(own), sum(member.shape[2] for member in self.members)))
+        G = self.G[:, :, columns]
+        end, total = 0, np.zeros((len(columns), sum(member.shape[2] for member in self.members)))
         sums = np.empty((len(before), *total.shape))
         for k, (count, stop) in enumerate(zip(before.tolist(), self.row[before].tolist(), strict=True)):
-            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > done:
-                done, total = int(self.row[nodes.before[node]]), nodes.shared[node][own]
-            if stop > done:
-                part = G[done:stop].reshape(-1, len(own)).T
-                more = [part @ member[done:stop].reshape(part.shape[1], -1) for member in self.members]
-                done, total = stop, total + np.hstack(more)
+            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > end:
+                end, total = int(self.row[nodes.before[node]]), nodes.shared[node][columns]
+            if stop > end:
+                part = G[end:stop].reshape(-1, len(columns)).T
+                more = [part @ member[end:stop].reshape(part.shape[1], -1) for member in self.members]
+                end, total = stop, total + np.hstack(more)
             sums[k] = total
         return sums
 
@@ -254,15 +258,15 @@ class _Nodes:
         """Number of the last of them with no more rows before it; -1 if there is none."""
         return int(np.searchsorted(self.before, count, side="right")) - 1
 
-    def between(self, before: np.ndarray, own: Sequence[int]) -> np.ndarray:
+    def between(self, before: np.ndarray, columns: Sequence[int]) -> np.ndarray:
         """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
-        taken = self.taken[:, own][:, :, own]
+        products = self.taken[:, columns][:, :, columns]
         if len(self.before) == 1:
-            return np.repeat(taken, len(before), axis=0)
+            return np.repeat(products, len(before), axis=0)
         high = np.clip(np.searchsorted(self.before, before), 1, len(self.before) - 1)
         low = high - 1
         share = ((before - self.before[low]) / (self.before[high] - self.before[low]))[:, None, None]
-        return np.asarray((1.0 - share) * taken[low] + share * taken[high])
+        return np.asarray((1.0 - share) * products[low] + share * products[high])
 
 
 def _evenly(before: np.ndarray, most: int) -> np.ndarray:
@@ -319,12 +323,12 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     right = by_row(state.right, state.channels, state.present) / sigma
     motion = model.G[state.used][:, :, model.slots_of(effect)] / sigma[:, None] @ solution.beta[-d:]
     weight = np.sum(motion**2, axis=1)
-    asked = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
-    seen = weight > 0.0
-    order = order[seen[order]]
+    pull = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
+    informed = weight > 0.0
+    order = order[informed[order]]
     step = np.where(values < effect.coefficients[0].basis.numbers[0], -1.0, 0.0)
     points = len(step_points(values)[0])
-    series = np.stack([asked / np.where(seen, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
+    series = np.stack([pull / np.where(informed, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
     without, with_step = _likelihoods(series, 1.0 / weight[order])
     twice = 2.0 * max(with_step - without, 0.0)
     return float(min(1.0, points * gammaincc(0.5 * d, 0.5 * twice)))
@@ -341,10 +345,10 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
     length, wander = (grid.ravel() for grid in np.meshgrid(LENGTHS, WANDERS))
     fade = np.exp(-1.0 / length)
     endless = np.isinf(length)
-    own = white * wander
+    long_run = white * wander
     # A walk of so much a row; an autoregression that has so much variance in the long run.
-    added = np.where(endless, own, own * (1.0 - fade**2))
-    P = np.where(endless, 0.0, own)
+    innovation_variance = np.where(endless, long_run, long_run * (1.0 - fade**2))
+    P = np.where(endless, 0.0, long_run)
     x = np.zeros((len(fade), 3))
     products = np.zeros((len(fade), 3, 3))
     logs = np.zeros(len(fade))
@@ -355,10 +359,10 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
         logs += np.log(F)
         gain = P / F
         x = fade[:, None] * (x + gain[:, None] * innovation)
-        P = fade**2 * P * (1.0 - gain) + added
+        P = fade**2 * P * (1.0 - gain) + innovation_variance
     best = []
     for k in (1, 2):
         inner, cross = products[:, 1 : k + 1, 1 : k + 1], products[:, 1 : k + 1, 0]
-        left = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
-        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(left, np.finfo(float).tiny)) + logs))))
+        squares = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
+        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(squares, np.finfo(float).tiny)) + logs))))
     return best[0], best[1]

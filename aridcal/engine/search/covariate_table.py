@@ -18,7 +18,7 @@ from aridcal.engine.rows.dataset import Dataset
 def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.origin.derived}
-    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
+    usable, barred_columns = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     frames = rows_of_data(model, rows)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     for mass in model.around.masses:
@@ -34,7 +34,7 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
     labels = [label_column(label) for label in labels_in(rows.labels.station)]
     if len(labels) > MOST_LABELS:
-        barred.append(
+        barred_columns.append(
             Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
         )
         labels = []
@@ -46,9 +46,10 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
         orientations=rows.sees_turns,
         held=model.instruments.held,
         referred={
-            (role, name): len(np.unique(rows.repeats.configuration[own])) for role, name, own in references(rows)
+            (role, name): len(np.unique(rows.repeats.configuration[referring]))
+            for role, name, referring in references(rows)
         },
         labels=tuple(labels),
         masses=model.around.masses,
     )
-    return observed, barred + barred_joints(observed)
+    return observed, barred_columns + barred_joints(observed)

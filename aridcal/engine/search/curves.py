@@ -31,16 +31,16 @@ def reshaped(state: State, some: Callable[[Active], bool]) -> State:
         before = state
         for one in [a for a in state.active if a.effect.smooth and some(a)]:
             without = without_effect(state, one.effect)
-            found = score_of(without, one.effect)
-            if found.freedom == 0 or _alike(one, found.tau, found.kernel):
+            score = score_of(without, one.effect)
+            if score.freedom == 0 or _same_shape(one, score.tau, score.kernel):
                 continue
-            again = replace(activate(without, one.effect, found), stated=one.stated)
-            state = state.with_active([again if a is one else a for a in state.active])
+            shaped = replace(activate(without, one.effect, score), stated=one.stated)
+            state = state.with_active([shaped if a is one else a for a in state.active])
         if state is before:
             break
     return state
 
 
-def _alike(one: Active, tau: float, kernel: object) -> bool:
+def _same_shape(one: Active, tau: float, kernel: object) -> bool:
     """True if another shape of a curve is as good as its own."""
     return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=SAME))

@@ -187,7 +187,7 @@ def _likelihood(
 
 
 def scores(
-    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: Shape | None = None
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: float, shape: Shape | None = None
 ) -> list[Score]:
     """Evidence for k candidates of d columns each, one by one.
 
@@ -195,11 +195,11 @@ def scores(
         M: Their Gram matrices after projection off the model, in units of sigma, shape (k, d, d).
         s: Their products with the residual, shape (k, d).
         raw: Their squared lengths before projection, shape (k, d).
-        left: The residual's sum of squares, in units of sigma.
+        total: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
         shape: For samples of smooth functions: of what; else None.
     """
-    return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
+    return _smooth(M, s, raw, shape, ROUGH, total, count) if shape else _plain(M, s, raw, total, count)
 
 
 def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: np.ndarray) -> Score:
@@ -228,10 +228,10 @@ def charge(twice: float, freedom: int) -> float:
     return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
 
 
-def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: float) -> list[Score]:
     """Evidence for columns that are no smooth functions; see :func:`scores`."""
     squares, freedoms = explained(M, s, raw)
-    twice = profiled(squares, left, count)
+    twice = profiled(squares, total, count)
     return [
         Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
         for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
@@ -254,7 +254,7 @@ def _smooth(
     raw: np.ndarray,
     shape: Shape,
     kernels: tuple[Kernel, ...],
-    left: float = np.inf,
+    total: float = np.inf,
     count: float = 0.0,
 ) -> list[Score]:
     """Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
@@ -269,11 +269,11 @@ def _smooth(
         A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
-                               DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
-    variance, twice, freedom, seen = (
+                               DEPENDENT * mean_square.ravel(), total, count, total < np.inf))  # fmt: skip
+    variance, twice, freedom, informed = (
         np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
     )
-    best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
+    best = np.argmax(np.where(informed, twice, -np.inf), axis=0)
     return [
         Score(
             0.5 * float(twice[at, k]) - SMOOTH_PRICE,
@@ -282,14 +282,14 @@ def _smooth(
             float(np.sqrt(variance[at, k])),
             kernels[at],
         )
-        if seen[at, k]
+        if informed[at, k]
         else NOTHING
         for k, at in enumerate(best.tolist())
     ]
 
 
 def likeliest(
-    A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float, roughly: bool = False
+    A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, count: float, roughly: bool = False
 ) -> Amplitudes:
     r"""The likeliest of the amplitudes of :data:`TAUS`.
 
@@ -301,26 +301,26 @@ def likeliest(
         A: Information of the samples, times the root of their prior on both sides, in units of sigma, shape (n, d, d).
         b: Their pulls likewise, shape (n, d).
         least: Information of a mode below which its pull is rounding, shape (n,).
-        left: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
+        total: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
         count: Numbers measured.
         roughly: Take amplitudes in units of all modes together, which need not be found one by one.
     """
-    likely = _by_chain(A, b, left, count, roughly)
+    likely = _by_chain(A, b, total, count, roughly)
     doubted = likely.variance * least > HIDDEN
     if doubted.any():
-        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], left, count), strict=True):
+        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], total, count), strict=True):
             values[doubted] = sure
     return likely
 
 
-def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
+def profiled(squares: np.ndarray, total: float, count: float) -> np.ndarray:
     """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
-    if left == np.inf:
+    if total == np.inf:
         return squares
-    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(left, TINY)) / max(left, TINY)))
+    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(total, TINY)) / max(total, TINY)))
 
 
-def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
+def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly: bool) -> Amplitudes:
     r"""All modes, without eigenvectors, which would take most of the time of a search.
 
     Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
@@ -337,11 +337,11 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: 
     F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
     product = F.copy()
     volume = np.full(F.shape, d * np.log(TAUS))
-    taken = np.empty_like(F)
+    ratio_above = np.empty_like(F)
     for j in range(d - 2, -1, -1):
-        np.divide(square[:, j + 1, None], F, out=taken)
+        np.divide(square[:, j + 1, None], F, out=ratio_above)
         np.add(faint, diagonal[:, j, None], out=F)
-        F -= taken
+        F -= ratio_above
         np.maximum(F, faint, out=F)
         product *= F
         if (d - j) % FACTORS == 0:
@@ -349,21 +349,21 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: 
             product[:] = 1.0
     volume += np.log(product)
     # In units of the largest mode b has lost its square, explained squares one of them.
-    twice = profiled(square[:, :1] * largest / F, left, count) - volume
+    twice = profiled(square[:, :1] * largest / F, total, count) - volume
     top = np.argmax(twice, axis=1)
     v = 1.0 / TAUS[top]
     F = np.maximum(v + diagonal[:, -1], v)
-    own = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
-    free = own.copy()
+    slope = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
+    free = slope.copy()
     for j in range(d - 2, -1, -1):
         ratio = square[:, j + 1] / F
         F = np.maximum(v + diagonal[:, j] - ratio, v)
-        own = np.minimum((v + ratio * own) / F, 1.0)
-        free += own
+        slope = np.minimum((v + ratio * slope) / F, 1.0)
+        free += slope
     return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - free, scale > TINY**0.5)
 
 
-def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
+def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, count: float) -> Amplitudes:
     """In the eigenbasis, without the pulls of modes that are rounding."""
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
@@ -372,10 +372,12 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
     fitted = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-    twice = profiled(fitted, left, count) - np.sum(np.log(shrunk), axis=2)
+    twice = profiled(fitted, total, count) - np.sum(np.log(shrunk), axis=2)
     top = np.argmax(twice, axis=1)
-    own = np.arange(len(top)), top
-    return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)
+    at_top = np.arange(len(top)), top
+    return Amplitudes(
+        variances[at_top], twice[at_top], np.sum(1.0 - 1.0 / shrunk[at_top], axis=1), values[:, -1] > TINY**0.5
+    )
 
 
 def _largest(scale: np.ndarray) -> np.ndarray:

@@ -98,9 +98,9 @@ class Grid:
 
     def own(self) -> np.ndarray:
         """Products of the columns of each slot with one another, shape (C, E, d, d)."""
-        made = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
+        products = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
         d = self.functions.count
-        return np.ascontiguousarray(made.reshape(*made.shape[:2], d, d))
+        return np.ascontiguousarray(products.reshape(*products.shape[:2], d, d))
 
     def pull(self, right: Sequence[np.ndarray]) -> np.ndarray:
         """Products with right-hand sides of shape (N size,), one for each channel, shape (C, w)."""
@@ -111,14 +111,14 @@ class Grid:
 
     def across(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Products with any columns, (N size, d') for each channel, shape (C, w, d')."""
-        made = []
+        per_channel = []
         for g, y in zip(self.slots, columns, strict=True):
             rows, _, count = g.shape
             products = g.transpose(0, 2, 1) @ self._here(y, g)
             summed = self.functions.sums(products.reshape(rows, count * products.shape[2]))
             summed = summed.reshape(self.functions.count, count, -1)
-            made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
-        return np.array(made)
+            per_channel.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
+        return np.array(per_channel)
 
     def across_grid(self, other: Grid) -> np.ndarray:
         """Products with the columns of one slot times d' other functions, shape (C, w, d')."""

@@ -94,7 +94,7 @@ class LinearModel:
     def _in_folds(self) -> tuple[np.ndarray, ...]:
         """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
         ordered = self.G[self._layout.order].transpose(2, 0, 1)
-        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in columns(self.channels))
+        return tuple(np.ascontiguousarray(ordered[:, :, part]) for part in columns(self.channels))
 
     @property
     def _source(self) -> Source:
@@ -120,13 +120,13 @@ class LinearModel:
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
         values = self._values(bases, places)
-        made = []
+        per_channel = []
         for g in self._in_folds:
             x = g[slots] if places is None else g[np.array(slots)[:, None], places]
             for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
                 x[:, :, k] *= values
-            made.append(x.reshape(len(slots), -1).T)
-        return tuple(made)
+            per_channel.append(x.reshape(len(slots), -1).T)
+        return tuple(per_channel)
 
     def holed(self, residual: np.ndarray) -> np.ndarray:
         """Residuals, shape (N, m), NaN in channels that a row does not measure."""
@@ -154,15 +154,15 @@ class LinearModel:
         return self._index(effect)[0]
 
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
-        found = self._indices.get(effect)
-        if found is None:
+        indices = self._indices.get(effect)
+        if indices is None:
             if len(effect.slots) == 1:
                 slots = [self.slot_index[effect.slots[0]]] * len(effect.coefficients)
             else:
                 slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
             bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
-            found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
-        return found
+            indices = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
+        return indices
 
     def prepared(self, effect: Effect) -> bool:
         """True if all its bases are among ``bases``."""
@@ -170,13 +170,13 @@ class LinearModel:
 
     def prepare(self, effects: Sequence[Effect]) -> LinearModel:
         """The same with the bases of further effects evaluated beforehand."""
-        asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
-        new = [basis for basis in asked if basis not in self.basis_index]
+        bases = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
+        new = [basis for basis in bases if basis not in self.basis_index]
         phi = np.vstack([self.phi.T, *(evaluate(basis, self.table) for basis in new)]).T
-        made = replace(self, bases=(*self.bases, *new), phi=phi)
+        model = replace(self, bases=(*self.bases, *new), phi=phi)
         # Of the same columns: none is multiplied again.
-        vars(made).update(_in_folds=self._in_folds, products=self.products.made_by(made._source))
-        return made
+        vars(model).update(_in_folds=self._in_folds, products=self.products.made_by(model._source))
+        return model
 
     def moves(self, effect: Effect) -> bool:
         """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
@@ -197,15 +197,15 @@ class LinearModel:
         slots, phi = self.slots_of(effect), self._bases_of([effect])
         values = np.zeros(self.r.shape)
         for slot in dict.fromkeys(slots):
-            own = [k for k, other in enumerate(slots) if other == slot]
-            values += self.G[:, :, slot] * (phi[:, own] @ beta[own])[:, None]
+            of_slot = [k for k, other in enumerate(slots) if other == slot]
+            values += self.G[:, :, slot] * (phi[:, of_slot] @ beta[of_slot])[:, None]
         return values
 
     def _bases_of(self, effects: Sequence[Effect]) -> np.ndarray:
         """Bases of each coefficient of some effects, shape (N, d)."""
-        known = [self._index(e)[1] for e in effects]
-        if all(bases is not None for bases in known):
-            return self.phi[:, [k for bases in known for k in bases or ()]]
+        numbers = [self._index(e)[1] for e in effects]
+        if all(bases is not None for bases in numbers):
+            return self.phi[:, [k for bases in numbers for k in bases or ()]]
         return np.column_stack([evaluate(c.basis, self.table) for e in effects for c in e.coefficients])
 
     def seen(self, values: np.ndarray) -> np.ndarray:

@@ -104,18 +104,18 @@ def calibrated_arm(
 
     def weighed_anew(data: Dataset) -> Geometry:
         anew = fit_constants(question, robot, data, labels, progress)
-        return _around(anew, geometry.geometric.model.around)
+        return _with_surroundings(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
     for _ in range(WEIGHED if bodies == 1 else 0):
-        share = _share(rows, arm.diagnosed.fit)
+        share = _share_of_row(rows, arm.diagnosed.fit)
         if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
             break
         progress("weighing rows of one place by how alike they err, and looking again")
         rows = rows.with_repeats(share=share)
         geometry = weighed_anew(rows)
         arm = fitted(rows, geometry, arm.diagnosed)
-    if (elsewhere := _hung_again(arm)) is not None:
+    if (elsewhere := _with_payload_at_target(arm)) is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
         geometry = elsewhere
         arm = fitted(rows, geometry, arm.diagnosed)
@@ -134,8 +134,10 @@ def calibrated_arm(
         arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=_causes(arm, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
-        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
-    return _nominal(question, arm, progress)
+        return replace(
+            arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
+        )
+    return _keep_nominal(question, arm, progress)
 
 
 def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
@@ -143,26 +145,26 @@ def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool 
     return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
 
 
-def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
+def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
     """What the scatter is made of, asked of all causes; in the figures of the weights where these name the same."""
     every, weighed = _causes(arm, rows, progress), arm.causes
     if every is None or weighed is None:
         return weighed
-    names, before = ([(c.kind, c.name) for c in own.causes] for own in (every, weighed))
+    names, before = ([(c.kind, c.name) for c in part.causes] for part in (every, weighed))
     if names != before or every.structured != weighed.structured:
         return every
     pairs = zip(weighed.causes, every.causes, strict=True)
-    return replace(weighed, causes=tuple(replace(own, rivals=other.rivals) for own, other in pairs))
+    return replace(weighed, causes=tuple(replace(cause, rivals=other.rivals) for cause, other in pairs))
 
 
-def _share(rows: Dataset, fit: Fit) -> float:
+def _share_of_row(rows: Dataset, fit: Fit) -> float:
     """What each row counts for, by how alike rows of one place err in a fit of the training rows."""
-    used = rows.fitted.select(~fit.outliers)
+    in_use = rows.fitted.select(~fit.outliers)
     residual = fit.residual[~fit.outliers]
-    return independent_share(used, residual / spread(rms_of_channels(residual, used), used.channels))
+    return independent_share(in_use, residual / spread(rms_of_channels(residual, in_use), in_use.channels))
 
 
-def _hung_again(arm: CalibratedArm) -> Geometry | None:
+def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
     """The geometry with the payload where the final model has the target; None where that changes no load that matters."""
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
     loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
@@ -170,24 +172,24 @@ def _hung_again(arm: CalibratedArm) -> Geometry | None:
     (payload, *others) = before.payloads
     if others or payload.on or not (before.loaded and loads and np.linalg.norm(lever - payload.lever) > HANGS):
         return None
-    return _around(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
+    return _with_surroundings(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
 
 
-def _around(geometry: Geometry, around: Surroundings) -> Geometry:
+def _with_surroundings(geometry: Geometry, around: Surroundings) -> Geometry:
     """A geometry that knows of other surroundings."""
     geometric = geometry.geometric
     return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def _nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
+def _keep_nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
     """The nominal robot with its frames alone, and effects that are stated, in place of a calibrated arm."""
     rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
-    kept = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
+    reason = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
-    arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, kept, free), rows, progress)
+    arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, reason, free), rows, progress)
     return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
 
 
@@ -199,7 +201,7 @@ def fit_constants(
     geometric = recentred(geometry.geometric)
     around = surroundings(question, geometric.model, bool(question.payloads) or PAYLOAD in rows.covariates)
     around = replace(around, sights=sights_of(geometric.model, rows.fitted))
-    return _around(replace(geometry, geometric=geometric), around)
+    return _with_surroundings(replace(geometry, geometric=geometric), around)
 
 
 def fit_arm(
@@ -215,8 +217,8 @@ def fit_arm(
         before: An earlier search, on other weights.
     """
     fit = geometry.geometric
-    asked = question.without_search() if is_short(fit) else question
-    return CalibratedArm(rows, geometry, diagnose(asked, fit, rows.fitted, progress, before))
+    narrowed = question.without_search() if is_short(fit) else question
+    return CalibratedArm(rows, geometry, diagnose(narrowed, fit, rows.fitted, progress, before))
 
 
 def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings:
@@ -254,37 +256,37 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
         smaller: Fitted to the same.
         data: N rows.
     """
-    used = ~larger.outliers
+    in_use = ~larger.outliers
     if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
         return True
-    part = data.select(used)
-    squares = [_squares(fit, part) for fit in (smaller, larger)]
+    part = data.select(in_use)
+    squares = [_held_back_squares(fit, part) for fit in (smaller, larger)]
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
-    left = np.stack([np.bincount(part.repeats.configuration, (own / unit).sum(axis=1)) for own in squares])
-    gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
+    errors = np.stack([np.bincount(part.repeats.configuration, (each / unit).sum(axis=1)) for each in squares])
+    gain = (errors[0] - errors[1]) / np.maximum(errors.sum(axis=0), np.finfo(float).tiny)
     return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
-def _squares(fit: Fit, data: Dataset) -> np.ndarray:
+def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
     r"""Squared residual of each row in each channel, its block held back, shape (N, C).
 
     With :math:`\Lambda` the information of the whole fit, priors included, and :math:`H_b, g_b` the sums of one block, the
     solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
     """
-    asked = problem(fit.model, data)
-    pieces = [(r, J) for _, r, J in eliminated(asked, fit.theta, np.ones(len(data)), fit.sigma)]
+    question = problem(fit.model, data)
+    pieces = [(r, J) for _, r, J in eliminated(question, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
     together = held_together(data)
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
-    left = r.copy()
+    residual = r.copy()
     for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
-        own = block == k
-        sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
+        in_block = block == k
+        sums = accumulate([J[in_block][:, c].reshape(-1, K) for c in parts], [r[in_block][:, c].ravel() for c in parts])
         H, g = data.repeats.share * sums.information(fit.sigma), data.repeats.share * sums.pull(fit.sigma)
-        left[own] = r[own] + J[own] @ solve(fit.information - H, g, ridge=RIDGE)
-    return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)
+        residual[in_block] = r[in_block] + J[in_block] @ solve(fit.information - H, g, ridge=RIDGE)
+    return np.stack([np.sum(residual[:, c] ** 2, axis=1) for c in parts], axis=1)
 
 
 def structured_notices(causes: NoiseCauses | None) -> list[str]:

@@ -82,27 +82,27 @@ def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
     at = np.concatenate([theta, np.zeros(len(model.own_motions))])
     more = problem(model.with_motions(model.own_motions), rows).settled(at)
     J = moved_by(more, at, len(model.own_motions))
-    own = there(rows)[:, :, None] * np.eye(J.shape[1])
+    units = there(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
-    found = [Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
+    causes = [Asked("channel", channel.name, channel.unit, units[:, :, part]) for channel, part in parts]
     moved = J @ model.robot.factors
     for k, (reading, kind) in enumerate(zip(model.robot.readings, model.robot.kinds, strict=True)):
-        found.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+        causes.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
     turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
     if turning.sum() > 1:
-        found.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
+        causes.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
     R, p = more.model.poses(at, more.rows)
-    for what, name, unit, root in _of_instruments(rows, p, own):
-        found.append(Asked(what, name, unit, scaled(root, rows.relative)))
-    return found, _seen(rows, R, p, own)
+    for what, name, unit, root in _roots_of_instruments(rows, p, units):
+        causes.append(Asked(what, name, unit, scaled(root, rows.relative)))
+    return causes, _targets(rows, R, p, units)
 
 
-def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
+def _targets(rows: Dataset, R: np.ndarray, p: np.ndarray, units: np.ndarray) -> Seen:
     """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
     axes, turned = {}, {}
     for block, channel, part in _channels(rows):
         if block.traits.tracked and channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes):
-            axes[channel.name] = scaled(own[:, :, part], rows.relative)
+            axes[channel.name] = scaled(units[:, :, part], rows.relative)
     for block in rows.blocks:
         name = {channel.axes: channel.name for channel in block.channels}
         if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
@@ -116,12 +116,14 @@ def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
     yield from zip(blocks, rows.channels, columns(rows.channels), strict=True)
 
 
-def shaped(shape: Shape, seen: Seen) -> Asked:
+def shaped(shape: Shape, targets: Seen) -> Asked:
     """Noise of a shape as a cause."""
-    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, seen), shape)
+    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, targets), shape)
 
 
-def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
+def _roots_of_instruments(
+    rows: Dataset, p: np.ndarray, units: np.ndarray
+) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
     """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
     The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
@@ -131,14 +133,14 @@ def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[t
         tracked = block.traits.tracked
         # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
         if tracked and channel.axes == TARGET_POSITION.axes:
-            yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
+            yield "range", channel.name, "m/m", away[:, None, None] * units[:, :, part]
         if tracked and channel.axes == TARGET_ROTATION.axes:
             sight = p / np.maximum(away, FLOOR)[:, None]
-            yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
+            yield "sight", channel.name, "rad", units[:, :, part] @ sight[:, :, None]
         if block.traits.ranges:
-            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
-        if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
-            yield "repeatability", channel.name, channel.unit, own[:, :, part]
+            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * units[:, :, part]
+        if rows.relative is not None and not np.allclose(scaled(units[:, :, part], rows.relative), units[:, :, part]):
+            yield "repeatability", channel.name, channel.unit, units[:, :, part]
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -88,111 +88,115 @@ class Seen:
     turned: dict[str, str]
 
 
-def directed(shape: Shape, seen: Seen) -> np.ndarray:
+def directed(shape: Shape, targets: Seen) -> np.ndarray:
     """What the noise does to the three numbers of its channel, per unit of its size, shape (N, 3, d)."""
     if shape.kind == "lever":
         assert shape.vector is not None
-        return -_crossed(seen.R @ shape.vector)
+        return -_cross_matrices(targets.R @ shape.vector)
     if shape.kind == "own_axis":
-        along = seen.R @ shape.vector
+        along = targets.R @ shape.vector
     elif shape.vector is not None:
-        along = np.broadcast_to(shape.vector, seen.p.shape)
+        along = np.broadcast_to(shape.vector, targets.p.shape)
     else:
-        away = seen.p - shape.point
+        away = targets.p - shape.point
         along = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), FLOOR)
     root = along[:, :, None]
     if shape.across:
         root = np.eye(3) - root * along[:, None, :]
     if not shape.power:
         return root
-    return root * ((distances(shape, seen) / shape.typical) ** shape.power)[:, None, None]
+    return root * ((distances(shape, targets) / shape.typical) ** shape.power)[:, None, None]
 
 
-def root(shape: Shape, seen: Seen) -> np.ndarray:
+def root(shape: Shape, targets: Seen) -> np.ndarray:
     """The same of all numbers of the rows, shape (N, m, d)."""
-    made = seen.own[shape.channel] @ directed(shape, seen)
-    return made + seen.own[seen.turned[shape.channel]] if shape.kind == "lever" else made
+    roots = targets.own[shape.channel] @ directed(shape, targets)
+    return roots + targets.own[targets.turned[shape.channel]] if shape.kind == "lever" else roots
 
 
-def distances(shape: Shape, seen: Seen) -> np.ndarray:
+def distances(shape: Shape, targets: Seen) -> np.ndarray:
     """From the point: along the direction, if it has one, shape (N,), [m]."""
     assert shape.point is not None
-    away = seen.p - shape.point
+    away = targets.p - shape.point
     return np.abs(away @ shape.vector) if shape.vector is not None else np.linalg.norm(away, axis=1)
 
 
-def _crossed(v: np.ndarray) -> np.ndarray:
+def _cross_matrices(v: np.ndarray) -> np.ndarray:
     """Matrices of v x, shape (N, 3, 3), of shape (N, 3)."""
-    made = np.zeros((len(v), 3, 3))
-    made[:, [2, 0, 1], [1, 2, 0]] = v
-    made[:, [1, 2, 0], [2, 0, 1]] = -v
-    return made
+    matrices = np.zeros((len(v), 3, 3))
+    matrices[:, [2, 0, 1], [1, 2, 0]] = v
+    matrices[:, [1, 2, 0], [2, 0, 1]] = -v
+    return matrices
 
 
 def aimed(
-    seen: Seen, channels: Sequence[Channel], left: np.ndarray, pull: np.ndarray, kernel: np.ndarray
+    targets: Seen, channels: Sequence[Channel], residual: np.ndarray, pull: np.ndarray, kernel: np.ndarray
 ) -> list[list[Shape]]:
     """Of each kind and channel the shapes that a fit's residual may ask for, that which it asks for most first.
 
     Always as many kinds, in the order of :func:`shapes_of`.
 
     Args:
-        seen: N rows.
+        targets: N rows.
         channels: Those whose noise is asked about, of ``seen``.
-        left: What the fit leaves in each row, shape (N, m).
+        residual: What the fit leaves in each row, shape (N, m).
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
     """
-    found = []
+    shapes = []
     for channel in channels:
-        G = seen.own[channel.name]
+        G = targets.own[channel.name]
         u, P = np.einsum("nmi,nm->ni", G, pull), G.transpose(0, 2, 1) @ kernel @ G
         W = u[:, :, None] * u[:, None, :] - P
-        for some in _of_channel(seen, channel, W, P, left):
+        for some in _shapes_of_channel(targets, channel, W, P, residual):
             some = [replace(shape, among=len(some)) for shape in some]
-            order = np.argsort([-_merit(shape, seen, W, P) for shape in some], kind="stable") if len(some) > 1 else [0]
-            found.append([some[k] for k in order])
-    return found
+            order = (
+                np.argsort([-_merit(shape, targets, W, P) for shape in some], kind="stable") if len(some) > 1 else [0]
+            )
+            shapes.append([some[k] for k in order])
+    return shapes
 
 
-def nearby(shape: Shape, step: float, seen: Seen) -> Iterator[Shape]:
+def nearby(shape: Shape, step: float, targets: Seen) -> Iterator[Shape]:
     """Shapes whose numbers, taken from the residual, are other by a share of their size."""
     for sign in (step, -step):
         for axis in np.eye(3):
             if shape.point is not None and shape.vector is None:
-                far = float(np.linalg.norm(shape.point - seen.p.mean(axis=0)))
-                yield sized(replace(shape, point=shape.point + sign * far * axis), seen)
+                far = float(np.linalg.norm(shape.point - targets.p.mean(axis=0)))
+                yield sized(replace(shape, point=shape.point + sign * far * axis), targets)
             elif shape.vector is not None:
                 size = float(np.linalg.norm(shape.vector))
                 vector = shape.vector + sign * size * axis
                 if shape.kind != "lever":
                     vector = vector / np.linalg.norm(vector)
                 moved = replace(shape, vector=vector)
-                yield moved if shape.point is None else sized(moved, seen)
+                yield moved if shape.point is None else sized(moved, targets)
 
 
-def sized(shape: Shape, seen: Seen) -> Shape:
+def sized(shape: Shape, targets: Seen) -> Shape:
     """The same, its size said at the RMS distance of the rows."""
-    return replace(shape, typical=max(float(np.sqrt(np.mean(distances(shape, seen) ** 2))), FLOOR))
+    return replace(shape, typical=max(float(np.sqrt(np.mean(distances(shape, targets) ** 2))), FLOOR))
 
 
-def shapes_of(seen: Seen, channel: Channel) -> list[Shape]:
+def shapes_of(targets: Seen, channel: Channel) -> list[Shape]:
     """One of each kind that :func:`aimed` gives for a channel, not aimed yet."""
     kinds: list[Kind] = ["direction", "own_axis"]
     if channel.axes == TARGET_POSITION.axes:
         kinds += ["depth", "bearing"]
-        if channel.name in seen.turned:
+        if channel.name in targets.turned:
             kinds.append("lever")
     return [Shape(kind, channel.name) for kind in kinds]
 
 
-def _of_channel(seen: Seen, channel: Channel, W: np.ndarray, P: np.ndarray, left: np.ndarray) -> Iterator[list[Shape]]:
+def _shapes_of_channel(
+    targets: Seen, channel: Channel, W: np.ndarray, P: np.ndarray, residual: np.ndarray
+) -> Iterator[list[Shape]]:
     """Shapes of each kind, from W = u u' - P and P of the channel's three numbers in each row, shape (N, 3, 3) each."""
-    name, p = channel.name, seen.p
-    least, most = _extremes(W.sum(axis=0), P.sum(axis=0))
+    name, p = channel.name, targets.p
+    least, most = _extreme_directions(W.sum(axis=0), P.sum(axis=0))
     yield [Shape("direction", name, most, free=2)]
-    turned = seen.R.transpose(0, 2, 1)
-    low, high = _extremes((turned @ W @ seen.R).sum(axis=0), (turned @ P @ seen.R).sum(axis=0))
+    turned = targets.R.transpose(0, 2, 1)
+    low, high = _extreme_directions((turned @ W @ targets.R).sum(axis=0), (turned @ P @ targets.R).sum(axis=0))
     yield [Shape("own_axis", name, high, free=2), Shape("own_axis", name, low, across=True, free=2)]
     if channel.axes != TARGET_POSITION.axes:
         return
@@ -209,12 +213,12 @@ def _of_channel(seen: Seen, channel: Channel, W: np.ndarray, P: np.ndarray, left
     bearings = [Shape("bearing", name, None, origin, across=True, power=1)]
     bearings += [Shape("bearing", name, None, point, across=True, power=1, free=3) for point in from_afar(least)]
     for some in (depths, bearings):
-        yield [sized(shape, seen) for shape in some]
-    if name in seen.turned:
-        yield [Shape("lever", name, _lever(seen, name, left), free=3)]
+        yield [sized(shape, targets) for shape in some]
+    if name in targets.turned:
+        yield [Shape("lever", name, _lever(targets, name, residual), free=3)]
 
 
-def _extremes(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _extreme_directions(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors along which S is least and most, in units of K, each with its largest number positive."""
     # eigh of both at once; where nothing is measured along some axis K is singular, and a ridge makes it none.
     ridge = max(1e-9 * float(np.trace(K)), TINY)
@@ -225,24 +229,24 @@ def _extremes(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vectors[0], vectors[-1]
 
 
-def _lever(seen: Seen, name: str, left: np.ndarray) -> np.ndarray:
+def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
     """The lever that what is left of rotations explains what is left of positions by, in the target's axes, shape (3,), [m].
 
     A body that is read as turned by w has a target that stands off it by l read as moved by w x R l.
     """
-    moved = np.einsum("nmi,nm->ni", seen.own[name], left)
-    turn = np.einsum("nmi,nm->ni", seen.own[seen.turned[name]], left)
-    columns = (_crossed(turn) @ seen.R).reshape(-1, 3)
+    moved = np.einsum("nmi,nm->ni", targets.own[name], residual)
+    turn = np.einsum("nmi,nm->ni", targets.own[targets.turned[name]], residual)
+    columns = (_cross_matrices(turn) @ targets.R).reshape(-1, 3)
     return np.asarray(np.linalg.lstsq(columns, moved.ravel())[0])
 
 
-def _merit(shape: Shape, seen: Seen, W: np.ndarray, P: np.ndarray) -> float:
+def _merit(shape: Shape, targets: Seen, W: np.ndarray, P: np.ndarray) -> float:
     """What a score test expects a shape to gain beside even noise of its channel, less what its numbers cost, [nat]."""
-    r = directed(shape, seen)
+    r = directed(shape, targets)
     Pr = P @ r
     inner = r.transpose(0, 2, 1) @ Pr
     score = 0.5 * (float(np.vdot(r, W @ r)))
-    own, with_even, even = 0.5 * np.vdot(inner, inner), 0.5 * np.vdot(Pr, Pr), 0.5 * np.vdot(P, P)
+    information, with_even, even = 0.5 * np.vdot(inner, inner), 0.5 * np.vdot(Pr, Pr), 0.5 * np.vdot(P, P)
     score -= 0.5 * float(np.einsum("nii->", W)) * with_even / max(even, TINY)
-    alone = max(own - with_even**2 / max(even, TINY), TINY)
+    alone = max(information - with_even**2 / max(even, TINY), TINY)
     return np.sign(score) * 0.5 * float(score**2 / alone) - shape.price(len(r))

@@ -55,8 +55,8 @@ def with_scatter(state: State, scatter: tuple[Effect, ...]) -> State:
     for effect in scatter:
         if any(a.effect == effect for a in state.active):
             state = without_effect(state, effect)
-        found = score_of(state, effect)
-        if found.gain >= CLEARLY:
-            kept = replace(activate(state, effect, found), stated=True)  # a nuisance: no gate judges it
-            state = state.with_active((*state.active, kept), noise_with(state, found))
+        score = score_of(state, effect)
+        if score.gain >= CLEARLY:
+            scattering = replace(activate(state, effect, score), stated=True)  # a nuisance: no gate judges it
+            state = state.with_active((*state.active, scattering), noise_with(state, score))
     return state

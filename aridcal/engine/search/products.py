@@ -185,7 +185,7 @@ class Products:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
         if len(self._solved) > len(members) ** 2:
             now = {id(modes) for _, modes in members}
-            self._solved = {key: made for key, made in self._solved.items() if now.issuperset(key)}
+            self._solved = {key: products for key, products in self._solved.items() if now.issuperset(key)}
         most = max(MEMBERS, len(members))
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
@@ -205,9 +205,9 @@ class Products:
         for of_one in (self._columns, self._pull):
             of_one.pop(effect, None)
         of_several: tuple[dict[Any, Any], ...] = (self._between, self._ordered, self._of_limbs)
-        for made in of_several:
-            for key in [key for key in made if effect in key]:
-                del made[key]
+        for products in of_several:
+            for key in [key for key in products if effect in key]:
+                del products[key]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
@@ -231,15 +231,15 @@ class Products:
     def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
         """Products of two such, shape (F, C, da, db)."""
         if (a, b) not in self._between:
-            left, right = self._as_grid(a), self._as_grid(b)
-            if left is not None:
-                made = self._folds_of_grid(left, self.columns(b) if right is None else right)
-            elif right is not None:
-                made = self._folds_of_grid(right, self.columns(a)).transpose(0, 1, 3, 2)
+            grid_a, grid_b = self._as_grid(a), self._as_grid(b)
+            if grid_a is not None:
+                products = self._folds_of_grid(grid_a, self.columns(b) if grid_b is None else grid_b)
+            elif grid_b is not None:
+                products = self._folds_of_grid(grid_b, self.columns(a)).transpose(0, 1, 3, 2)
             else:
-                made = self._folds(self.columns(a), self.columns(b))
-            self._between[a, b] = made
-            self._between[b, a] = made.transpose(0, 1, 3, 2)
+                products = self._folds(self.columns(a), self.columns(b))
+            self._between[a, b] = products
+            self._between[b, a] = products.transpose(0, 1, 3, 2)
         return self._between[a, b]
 
     def in_modes(self, a: Member, b: Member) -> np.ndarray:
@@ -258,24 +258,24 @@ class Products:
     def _folds(self, X: Flat, Y: Flat) -> np.ndarray:
         """Products of columns fold by fold, shape (F, C, ...)."""
         stretches = zip(*(self.layout.stretches(channel.size) for channel in self.layout.channels), strict=True)
-        return np.array([[x[own].T @ y[own] for x, y, own in zip(X, Y, fold, strict=True)] for fold in stretches])
+        return np.array([[x[part].T @ y[part] for x, y, part in zip(X, Y, fold, strict=True)] for fold in stretches])
 
     def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
         """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""
-        made = []
+        per_fold = []
         for low, high in pairwise(self.layout.starts.tolist()):
             if isinstance(Y, Grid):
-                made.append(grid.part(low, high).across_grid(Y.part(low, high)))
+                per_fold.append(grid.part(low, high).across_grid(Y.part(low, high)))
             else:
-                own = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
-                made.append(grid.part(low, high).across(own))
-        return np.array(made)
+                parts = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
+                per_fold.append(grid.part(low, high).across(parts))
+        return np.array(per_fold)
 
     def _as_grid(self, member: Effect | None) -> Grid | None:
         """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
-        taken = None if member is None else self._source.apart(member)
-        functions = None if taken is None or len(taken[0]) > 1 else self._functions(taken[1])
-        return None if taken is None or functions is None else grid_of(*self._slots(taken[0]), functions)
+        factors = None if member is None else self._source.apart(member)
+        functions = None if factors is None or len(factors[0]) > 1 else self._functions(factors[1])
+        return None if factors is None or functions is None else grid_of(*self._slots(factors[0]), functions)
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
         """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
@@ -284,12 +284,14 @@ class Products:
         yield from {id(place[0]): place[0] for place in places if place is not None}.values()
         grids, others = self._grids(new)
         of_grids = (self._grid(*grid) for grid in grids)
-        for chunk in chain(of_grids, (self.chunk(group, rows) for rows, own in others for group in grouped(own))):
+        for chunk in chain(
+            of_grids, (self.chunk(group, rows) for rows, members in others for group in grouped(members))
+        ):
             if self._room(chunk.own.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
-                kept = chunk if room else replace(chunk, columns=None)
-                for effect, own in placed(chunk.effects):
-                    self._place[effect] = kept, own
+                stored = chunk if room else replace(chunk, columns=None)
+                for effect, part in placed(chunk.effects):
+                    self._place[effect] = stored, part
             yield chunk
 
     def _functions(self, bases: tuple[int, ...]) -> Local | None:
@@ -315,13 +317,15 @@ class Products:
             moved[effect] = self._rows_moved(slots)
             if effect.smooth and len(slots) == 1:
                 alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
-        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+        grids = [
+            (b, members) for (b, _), members in alike.items() if len(members) >= GRID and self._functions(b) is not None
+        ]
         others: dict[bytes, list[Effect]] = {}
-        of_grids = {effect for _, own in grids for effect in own}
+        of_grids = {effect for _, members in grids for effect in members}
         for effect in effects:
             if effect not in of_grids:
                 others.setdefault(moved[effect], []).append(effect)
-        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, own) for key, own in others.items()]
+        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, members) for key, members in others.items()]
 
     def _rows_moved(self, slots: Sequence[int]) -> bytes:
         """Places of the rows that slots move; none if those are nearly all, or not the same for each of them."""
@@ -336,8 +340,8 @@ class Products:
         """Candidates of the same functions multiplied together."""
         functions = self._functions(bases)
         assert functions is not None
-        made = grid_of(*self._slots(tuple(effects.values())), functions)
-        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made.rows, made)
+        grid = grid_of(*self._slots(tuple(effects.values())), functions)
+        return Chunk(tuple(effects), grid.own(), grid.pull(self.r), {}, None, grid.rows, grid)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
         """Whether so many numbers more are kept; they are counted."""
@@ -348,13 +352,13 @@ class Products:
     def chunk(self, effects: Sequence[Effect], rows: np.ndarray | None = None) -> Chunk:
         """Candidates multiplied together, zero but in some rows if these are given; they are not kept."""
         X = self._source.make(effects, rows)
-        own = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
+        gram = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
         for low, high in pieces(effects):
-            for values, x in zip(own, X, strict=True):
+            for values, x in zip(gram, X, strict=True):
                 values[low:high, low:high] = x[:, low:high].T @ x[:, low:high]
         right = self.r if rows is None else [r[n] for r, n in zip(self.r, self.layout.numbers(rows), strict=True)]
         pull = np.array([x.T @ r for x, r in zip(X, right, strict=True)])
-        return Chunk(tuple(effects), own, pull, {}, X, rows)
+        return Chunk(tuple(effects), gram, pull, {}, X, rows)
 
     def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
         """Where a candidate is: among those that were scored with the library, or by itself."""
@@ -368,21 +372,21 @@ class Products:
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
         """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
-        found = {effect: chunk.across.get(effect) for effect, _ in members}
-        new = [effect for effect, made in found.items() if made is None]
+        products = {effect: chunk.across.get(effect) for effect, _ in members}
+        new = [effect for effect, product in products.items() if product is None]
         X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
         for effect in new:
             grid = self._as_grid(effect)
             if chunk.grid is not None and grid is not None:
-                made = chunk.grid.across_grid(grid)
+                product = chunk.grid.across_grid(grid)
             elif grid is not None and chunk.rows is None:
-                made = grid.across(X).transpose(0, 2, 1)
+                product = grid.across(X).transpose(0, 2, 1)
             else:
-                made = self._with_columns(chunk, X, effect)
-            found[effect] = made
-            if chunk.effects[0] in self._place and self._room(made.size):
-                chunk.across[effect] = made
-        return [made for made in found.values() if made is not None]
+                product = self._with_columns(chunk, X, effect)
+            products[effect] = product
+            if chunk.effects[0] in self._place and self._room(product.size):
+                chunk.across[effect] = product
+        return [product for product in products.values() if product is not None]
 
     def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
         """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
@@ -390,14 +394,14 @@ class Products:
         limbs = [chunk.rows] if chunk.rows is not None else self._limbs if chunk.grid is not None else []
         if not limbs:
             return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
-        made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
+        products = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
         for rows in limbs:
-            own, some = self._in_rows(member, rows)
+            columns, some = self._in_rows(member, rows)
             if chunk.grid is not None:
-                made[:, :, some] += chunk.grid.among(rows).across(own)
+                products[:, :, some] += chunk.grid.among(rows).across(columns)
             else:
-                made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
-        return made
+                products[:, :, some] = [x.T @ y for x, y in zip(X, columns, strict=True)]
+        return products
 
     @cached_property
     def _limbs(self) -> list[np.ndarray]:

@@ -133,7 +133,7 @@ class Traces:
 
 
 @dataclass(frozen=True)
-class _Pulled:
+class _Pull:
     """Residuals as a motion that each row asks for by itself; ``weight`` is 1 / variance that the noise makes of it."""
 
     motion: str
@@ -154,17 +154,23 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         progress: Told how many covariates are asked about.
     """
     robot = fit.model.robot
-    pulled, world = _pull(fit, rows, before, after)
-    own = {p.motion: p for p in pulled}
+    pulls, world = _pulls(fit, rows, before, after)
+    motions = {p.motion: p for p in pulls}
     measured = {name: values for name, values in rows.covariates.items() if name not in rows.origin.derived}
     complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
-    asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
+    covariates = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(
-        joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
-        strongest=tuple(_strongest(pulled, name, asked[name]) for name in progress.over(list(asked), "covariates")),
-        asked=len(pulled) * len(asked),
-        order=_order(after, rows),
+        joints=tuple(
+            _trace(motions[name], name, covariates[name])
+            for name in robot.names
+            if name in motions and name in covariates
+        ),
+        strongest=tuple(
+            _strongest(pulls, name, covariates[name]) for name in progress.over(list(covariates), "covariates")
+        ),
+        asked=len(pulls) * len(covariates),
+        order=_order_of_time(after, rows),
     )
 
 
@@ -172,57 +178,65 @@ def _varies(values: np.ndarray) -> bool:
     return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
 
 
-def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pulled], np.ndarray]:
+def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pull], np.ndarray]:
     r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel; and the rows' base frames.
 
     Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
     :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
     """
     robot = fit.model.robot
-    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    question = problem(fit.model.with_motions(fit.model.own_motions), rows)
     theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
-    was, left = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
+    before_scaled, after_scaled = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
-    sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
-    J = moved_by(asked, theta, len(robot.joints)) / sigma[:, None]
-    pulled = []
+    sigma = spread(np.maximum(rms_of_channels(after_scaled, rows), FLOOR), rows.channels)
+    J = moved_by(question, theta, len(robot.joints)) / sigma[:, None]
+    pulls = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
         weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
         if weight.any():
-            ago, now = (np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left))
-            pulled.append(_Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", ago, now, weight))
+            pull_before, pull_after = (
+                np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (before_scaled, after_scaled)
+            )
+            pulls.append(_Pull(joint.name, "rad" if joint.kind == "revolute" else "m", pull_before, pull_after, weight))
     axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
     for k, (axis, unit) in enumerate(axes):
-        own = ~np.isnan(after[:, k])
-        weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
-        pulled.append(_Pulled(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
-    return pulled, asked.rows.world
+        present = ~np.isnan(after[:, k])
+        weight = np.where(
+            present, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if present.any() else 0.0, FLOOR**2), 0.0
+        )
+        pulls.append(_Pull(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
+    return pulls, question.rows.world
 
 
-def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
+def _strongest(pulls: Sequence[_Pull], covariate: str, values: np.ndarray) -> Trace:
     """The motion of which noise would least likely show as much."""
     chances, sliced = [], {}
-    for p in pulled:
-        own = (p.weight > 0).tobytes()
-        if own not in sliced:  # of all motions together there are few sets of rows
-            sliced[own] = _sliced(p, values)
-        chances.append(_chance(_means(p, values, p.after, sliced[own])))
-    return _trace(pulled[int(np.argmin(chances))], covariate, values)
+    for p in pulls:
+        key = (p.weight > 0).tobytes()
+        if key not in sliced:  # of all motions together there are few sets of rows
+            sliced[key] = _sliced(p, values)
+        chances.append(_p_value(_means(p, values, p.after, sliced[key])))
+    return _trace(pulls[int(np.argmin(chances))], covariate, values)
 
 
-def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
+def _trace(pull: _Pull, covariate: str, values: np.ndarray) -> Trace:
     """A motion over a covariate, before and after."""
-    seen = pulled.weight > 0
-    sliced = _sliced(pulled, values)
-    before, after = (_means(pulled, values, asks, sliced) for asks in (pulled.before, pulled.after))
+    informed = pull.weight > 0
+    sliced = _sliced(pull, values)
+    before, after = (_means(pull, values, motion_of_rows, sliced) for motion_of_rows in (pull.before, pull.after))
     at = np.linspace(after.centre[0], after.centre[-1], CURVE)
 
-    def course(asks: np.ndarray, means: _Means) -> Course:
-        return Course(asks[seen], means.mean, _smooth(means, at), _size(means), _chance(means))
+    def course(motion_of_rows: np.ndarray, means: _Means) -> Course:
+        return Course(
+            motion_of_rows[informed], means.mean, _smooth(means, at), _rms_beyond_noise(means), _p_value(means)
+        )
 
-    was, left = course(pulled.before, before), course(pulled.after, after)
-    return Trace(pulled.motion, pulled.unit, covariate, values[seen], after.centre, after.std, at, was, left)
+    course_before, course_after = course(pull.before, before), course(pull.after, after)
+    return Trace(
+        pull.motion, pull.unit, covariate, values[informed], after.centre, after.std, at, course_before, course_after
+    )
 
 
 @dataclass(frozen=True)
@@ -234,31 +248,33 @@ class _Means:
     std: np.ndarray
 
 
-def _sliced(pulled: _Pulled, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sliced(pull: _Pull, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows that say something of a motion, in the order of a covariate, shape (n,), and the slice of each: see :func:`_means`."""
-    seen = np.flatnonzero(pulled.weight > 0)
-    seen = seen[np.argsort(values[seen], kind="stable")]
-    different, place = np.unique(values[seen], return_inverse=True)
+    informed = np.flatnonzero(pull.weight > 0)
+    informed = informed[np.argsort(values[informed], kind="stable")]
+    different, place = np.unique(values[informed], return_inverse=True)
     if len(different) > FEW_VALUES:
-        place = np.arange(len(seen)) * int(np.clip(len(seen) // SLICE, 1, MOST_SLICES)) // len(seen)
-    return seen, place
+        place = np.arange(len(informed)) * int(np.clip(len(informed) // SLICE, 1, MOST_SLICES)) // len(informed)
+    return informed, place
 
 
-def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]) -> _Means:
+def _means(
+    pull: _Pull, values: np.ndarray, motion_of_rows: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]
+) -> _Means:
     """Slices of equally many rows; of a column with few values, one slice for each."""
-    seen, place = sliced
-    weight = pulled.weight[seen]
+    informed, place = sliced
+    weight = pull.weight[informed]
     total = np.bincount(place, weight)
-    centre, mean = (np.bincount(place, weight * v[seen]) / total for v in (values, asks))
+    centre, mean = (np.bincount(place, weight * v[informed]) / total for v in (values, motion_of_rows))
     return _Means(centre, mean, 1.0 / np.sqrt(total))
 
 
-def _chance(m: _Means) -> float:
+def _p_value(m: _Means) -> float:
     """That noise alone makes such means."""
     return float(chdtrc(len(m.mean), np.sum((m.mean / m.std) ** 2)))
 
 
-def _size(m: _Means) -> float:
+def _rms_beyond_noise(m: _Means) -> float:
     """RMS of the means beyond what noise makes of them."""
     weight = 1.0 / m.std**2
     return float(np.sqrt(max(weight @ m.mean**2 - len(weight), 0.0) / weight.sum()))
@@ -266,7 +282,7 @@ def _size(m: _Means) -> float:
 
 def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     """The likeliest smooth function through the means (Gaussian process, Matern 5/2); zero where they are noise."""
-    variance = _size(m) ** 2
+    variance = _rms_beyond_noise(m) ** 2
     span = float(np.ptp(m.centre))
     if variance == 0.0 or span == 0.0:
         return np.zeros(len(at))
@@ -285,7 +301,7 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     return curve
 
 
-def _order(residual: np.ndarray, rows: Dataset) -> Order:
+def _order_of_time(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
     # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
     series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]

@@ -64,8 +64,8 @@ class State:
         """What was found of it: who asks again gets the same."""
         if question not in self.answers:
             self.answers[question] = answer()
-        found: T = self.answers[question]
-        return found
+        value: T = self.answers[question]
+        return value
 
     @property
     def channels(self) -> Channels:
@@ -95,24 +95,24 @@ class State:
     @cached_property
     def right_of_unused(self) -> list[np.ndarray]:
         """Residuals of the rows not in use, shape ((N - n) size,) for each channel."""
-        made = self.model.products
-        return [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
+        products = self.model.products
+        return [r[rows] for r, rows in zip(products.r, products.layout.numbers(self.unused), strict=True)]
 
     @cached_property
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
-        AA, Ar = _assembled(self.model.products, self.members, together=False)
+        AA, Ar = _sums_of_folds(self.model.products, self.members, together=False)
         AA -= self.unused_products(self.extra, self.extra)
         Ar -= self.unused_products(self.extra, self.right_of_unused)
         return AA, Ar
 
     def unused_products(self, X: Sequence[np.ndarray], Y: Sequence[np.ndarray]) -> np.ndarray:
         """X'Y over the rows not in use of each of F folds, shape (F, C, ...), from arrays of these rows for each channel."""
-        made = []
+        per_fold = []
         for low, high in pairwise(np.searchsorted(self.unused, self.model.products.layout.starts).tolist()):
-            own = [slice(low * channel.size, high * channel.size) for channel in self.channels]
-            made.append([x[rows].T @ y[rows] for x, y, rows in zip(X, Y, own, strict=True)])
-        return np.array(made)
+            parts = [slice(low * channel.size, high * channel.size) for channel in self.channels]
+            per_fold.append([x[rows].T @ y[rows] for x, y, rows in zip(X, Y, parts, strict=True)])
+        return np.array(per_fold)
 
     @property
     def members(self) -> tuple[Member, ...]:
@@ -140,14 +140,14 @@ class State:
             high: One beyond the last.
             candidate: What is added.
         """
-        made = self.model.products
+        products = self.model.products
         every = members(self.model, self.active if candidate is None else (*self.active, candidate))
         numbers = [slice(low * channel.size, high * channel.size) for channel in self.channels]
-        fitted = [np.zeros((own.stop - own.start, beta.shape[1])) for own in numbers]
+        fitted = [np.zeros((part.stop - part.start, beta.shape[1])) for part in numbers]
         for (effect, modes), place in zip(every, _places([modes.shape[1] for _, modes in every]), strict=True):
-            taken = modes @ beta[place]
-            for values, x, own in zip(fitted, made.columns(effect), numbers, strict=True):
-                values += x[own] @ taken
+            coefficients = modes @ beta[place]
+            for values, x, part in zip(fitted, products.columns(effect), numbers, strict=True):
+                values += x[part] @ coefficients
         return fitted
 
     @property
@@ -163,8 +163,8 @@ class State:
         """The solution by its coefficients, the K constants first."""
         first, *others = self.places
         values = dict(zip(constants, self.solution.beta[first].tolist(), strict=True))
-        for a, own in zip(self.active, others, strict=True):
-            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[own]).tolist(), strict=True))
+        for a, place in zip(self.active, others, strict=True):
+            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[place]).tolist(), strict=True))
         return values
 
     @property
@@ -191,17 +191,17 @@ class State:
             Products with what is solved for, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
             All candidates of a grid have products with themselves alone, (C, candidates, d, d).
         """
-        made = self.model.products
+        products = self.model.products
         some = slice(None) if where is None else where
-        cross = self.in_modes([values[:, some] for values in made.across(chunk, self.members)])
-        own, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
+        cross = self.in_modes([values[:, some] for values in products.across(chunk, self.members)])
+        gram, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
         if len(self.unused):
-            lost = [x[:, some] for x in made.rows_of(chunk, self.unused)]
-            cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
-            each = [x.reshape(len(x), -1, own.shape[-1]).transpose(1, 2, 0) for x in lost]
-            own = own - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(own.shape)
-            pull = pull - np.array([x.T @ r for x, r in zip(lost, self.right_of_unused, strict=True)])
-        return np.swapaxes(cross, 1, 2), own, pull
+            unused_columns = [x[:, some] for x in products.rows_of(chunk, self.unused)]
+            cross = cross - np.array([x.T @ a for x, a in zip(unused_columns, self.extra, strict=True)])
+            each = [x.reshape(len(x), -1, gram.shape[-1]).transpose(1, 2, 0) for x in unused_columns]
+            gram = gram - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(gram.shape)
+            pull = pull - np.array([x.T @ r for x, r in zip(unused_columns, self.right_of_unused, strict=True)])
+        return np.swapaxes(cross, 1, 2), gram, pull
 
 
 def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
@@ -210,7 +210,7 @@ def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
 
 
 def solve_state(
-    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, fixed: bool = False
+    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, in_use: np.ndarray, fixed: bool = False
 ) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
@@ -218,41 +218,41 @@ def solve_state(
         model: The linearised model.
         active: Effects.
         sigma: Noise to begin with, shape (C,).
-        used: Rows to begin with, shape (N,) bool.
+        in_use: Rows to begin with, shape (N,) bool.
         fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
     """
     model.products.now_in_the_model(members(model, active))
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
-    sound = used
+    sound = in_use
     for _ in range(FLAGGING):
-        used = sound
-        unused, extra, equations = _in_use(model, active, every, used)
+        in_use = sound
+        unused, extra, equations = _in_use(model, active, every, in_use)
         solution = solve(equations, precision, sigma)
-        residual = _left(model, active, solution.beta)
+        residual = _residual(model, active, solution.beta)
         sigma = solution.sigma
         sound = ~flagged(model.holed(residual), model.channels, model.limit)
-        if fixed or np.array_equal(sound, used):
+        if fixed or np.array_equal(sound, in_use):
             break
-    return State(model, tuple(active), precision, equations, solution, residual, used, unused, extra)
+    return State(model, tuple(active), precision, equations, solution, residual, in_use, unused, extra)
 
 
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
     """Sums of a set of effects over all rows, whether in use or not."""
-    made = model.products
-    AA, Ar = _assembled(made, members(model, active), together=True)
+    products = model.products
+    AA, Ar = _sums_of_folds(products, members(model, active), together=True)
     sizes = np.array([channel.size for channel in model.channels])
-    return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
+    return NormalEquations(AA, Ar, products.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
 
 def _in_use(
-    model: LinearModel, active: Sequence[Active], every: NormalEquations, used: np.ndarray
+    model: LinearModel, active: Sequence[Active], every: NormalEquations, in_use: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], NormalEquations]:
     """Places and columns of the rows that are not used, and the sums without them."""
-    made, layout = model.products, model.products.layout
-    unused = np.flatnonzero(~used[layout.order])
+    products, layout = model.products, model.products.layout
+    unused = np.flatnonzero(~in_use[layout.order])
     extra = columns_at(model, members(model, active), unused)
-    right = [r[own] for r, own in zip(made.r, layout.numbers(unused), strict=True)]
+    right = [r[numbers] for r, numbers in zip(products.r, layout.numbers(unused), strict=True)]
     sizes = np.array([channel.size for channel in model.channels])
     there = model.present[layout.order[unused]].sum(axis=0) * sizes
     equations = every.minus(replace(accumulate(extra, right), count=there)) if len(unused) else every
@@ -262,8 +262,10 @@ def _in_use(
 
 def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) -> tuple[np.ndarray, ...]:
     """What is solved for, in rows at some places of the folds' order: shape (rows size, P) for each channel."""
-    made, numbers = model.products, model.products.layout.numbers(places)
-    parts = [[x[own] @ modes for x, own in zip(made.columns(effect), numbers, strict=True)] for effect, modes in every]
+    products, numbers = model.products, model.products.layout.numbers(places)
+    parts = [
+        [x[rows] @ modes for x, rows in zip(products.columns(effect), numbers, strict=True)] for effect, modes in every
+    ]
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
 
 
@@ -273,37 +275,37 @@ def _places(sizes: Sequence[int]) -> list[slice]:
     return [slice(low, high) for low, high in pairwise(ends)]
 
 
-def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sums_of_folds(products: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
     """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
 
     def summed(of_folds: np.ndarray) -> np.ndarray:
         return np.asarray(of_folds.sum(axis=0)) if together else of_folds
 
-    Ar = np.concatenate([summed(made.pull(effect)) @ modes for effect, modes in every], axis=-1)
+    Ar = np.concatenate([summed(products.pull(effect)) @ modes for effect, modes in every], axis=-1)
     AA = np.empty((*Ar.shape, Ar.shape[-1]))
-    for k, own in enumerate(_places([modes.shape[1] for _, modes in every])):
-        row = summed(np.concatenate([made.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
-        AA[..., own, : own.stop] = row
-        AA[..., : own.stop, own] = np.swapaxes(row, -1, -2)
+    for k, place in enumerate(_places([modes.shape[1] for _, modes in every])):
+        row = summed(np.concatenate([products.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
+        AA[..., place, : place.stop] = row
+        AA[..., : place.stop, place] = np.swapaxes(row, -1, -2)
     return AA, Ar
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
-    model, made = state.model, state.model.products
+    model, products = state.model, state.model.products
     AA, Ar = state.of_folds
-    mine = candidate.effect, candidate.modes
-    extra = columns_at(model, [mine], state.unused)
-    cross = np.concatenate([made.in_modes(member, mine) for member in state.members], axis=2)
+    extra_member = candidate.effect, candidate.modes
+    extra = columns_at(model, [extra_member], state.unused)
+    cross = np.concatenate([products.in_modes(member, extra_member) for member in state.members], axis=2)
     cross -= state.unused_products(state.extra, extra)
-    own = made.in_modes(mine, mine) - state.unused_products(extra, extra)
-    pull = made.pull(mine[0]) @ mine[1] - state.unused_products(extra, state.right_of_unused)
+    gram = products.in_modes(extra_member, extra_member) - state.unused_products(extra, extra)
+    pull = products.pull(extra_member[0]) @ extra_member[1] - state.unused_products(extra, state.right_of_unused)
     P, weight = AA.shape[-1], sigma**-2.0
     H = np.empty((len(AA), P + cross.shape[-1], P + cross.shape[-1]))
     H[:, :P, :P] = np.einsum("c,fcij->fij", weight, AA)
     H[:, :P, P:] = np.einsum("c,fcij->fij", weight, cross)
     H[:, P:, :P] = H[:, :P, P:].transpose(0, 2, 1)
-    H[:, P:, P:] = np.einsum("c,fcij->fij", weight, own)
+    H[:, P:, P:] = np.einsum("c,fcij->fij", weight, gram)
     return H, np.einsum("c,fci->fi", weight, np.concatenate([Ar, pull], axis=2))
 
 
@@ -318,38 +320,38 @@ def without_effect(state: State, effect: Effect) -> State:
     """
     V, before, equations = state.solution.inverse, state.solution, state.equations
     gone = np.zeros(len(V), dtype=bool)
-    for a, own in zip(state.active, state.places[1:], strict=True):
-        gone[own] = a.effect == effect
+    for a, place in zip(state.active, state.places[1:], strict=True):
+        gone[place] = a.effect == effect
     out = V[:, gone]
     fewer = np.einsum("ij,cij->c", solve_equations(out[gone], out.T, ridge=RIDGE).T, equations.AA @ out)
-    left = equations.squares_left(conditional(V, before.beta, gone))
-    sigma = noise_left(equations, left, before.spent - fewer / before.sigma**2)
+    squares = equations.squares_left(conditional(V, before.beta, gone))
+    sigma = noise_left(equations, squares, before.spent - fewer / before.sigma**2)
     return state.with_active([a for a in state.active if a.effect != effect], sigma, fixed=True)
 
 
-def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
+def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
     """What a solution leaves of every row, shape (N, m)."""
     K = model.A.shape[2]
-    left = model.r - model.A @ beta[:K]
-    for a, own in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
-        left -= model.seen(model.made_of(a.effect, a.modes @ beta[own])[:, :, None])[:, :, 0]
-    return np.asarray(left)
+    residual = model.r - model.A @ beta[:K]
+    for a, place in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
+        residual -= model.seen(model.made_of(a.effect, a.modes @ beta[place])[:, :, None])[:, :, 0]
+    return np.asarray(residual)
 
 
-def activate(state: State, effect: Effect, found: Score) -> Active:
+def activate(state: State, effect: Effect, score: Score) -> Active:
     """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
     if not effect.smooth:
-        return Active(effect, found, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
-    chunk, own = state.model.products.chunk_of(effect)
-    gram = np.tensordot(noise_with(state, found) ** -2.0, chunk.of_one(own), 1)
-    root = found.tau * samples_root(effect.shape, found.kernel)
-    told, modes = np.linalg.eigh(root.T @ gram @ root)
-    return Active(effect, found, root @ modes[:, told > FAINT])
+        return Active(effect, score, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
+    chunk, columns = state.model.products.chunk_of(effect)
+    gram = np.tensordot(noise_with(state, score) ** -2.0, chunk.of_one(columns), 1)
+    root = score.tau * samples_root(effect.shape, score.kernel)
+    information, modes = np.linalg.eigh(root.T @ gram @ root)
+    return Active(effect, score, root @ modes[:, information > FAINT])
 
 
-def noise_with(state: State, found: Score) -> np.ndarray:
+def noise_with(state: State, score: Score) -> np.ndarray:
     """What is known of the noise with a candidate in the model, shape (C,)."""
-    return state.solution.sigma if found.sigma is None else found.sigma
+    return state.solution.sigma if score.sigma is None else score.sigma
 
 
 def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:
@@ -361,6 +363,6 @@ def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np
 
 def with_columns(state: State, effect: Effect) -> NormalEquations:
     """Equations of the model with the columns of an effect's coefficients added."""
-    made = state.model.products
-    made.now_in_the_model(state.members)
-    return state.equations.bordered(*state.in_use(*made.chunk_of(effect)))
+    products = state.model.products
+    products.now_in_the_model(state.members)
+    return state.equations.bordered(*state.in_use(*products.chunk_of(effect)))

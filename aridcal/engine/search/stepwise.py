@@ -70,12 +70,12 @@ def search(
     return Found(state, rejected, choices.count)
 
 
-def exchanged(found: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
+def exchanged(result: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
     """What was found among all candidates, or a better set that single steps do not lead to; sought where that is cheap."""
-    state = found.state
+    state = result.state
     if not is_small(state.model, library):
-        return found
-    return replace(found, state=regrown(state, Choices.of(library, found.tested), progress))
+        return result
+    return replace(result, state=regrown(state, Choices.of(library, result.tested), progress))
 
 
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
@@ -101,7 +101,7 @@ def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
     choices = Choices.of(state.effects, tested)
     for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
         without = without_effect(state, effect)
-        found = score_of(without, effect)
-        keep = not judge(without, effect, found, choices).why
-        state = with_effect(without, effect, found) if keep else with_flags(without)
+        score = score_of(without, effect)
+        keep = not judge(without, effect, score, choices).why
+        state = with_effect(without, effect, score) if keep else with_flags(without)
     return state
