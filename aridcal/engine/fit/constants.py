@@ -1,4 +1,4 @@
-"""Which constants of a robot and its frames are asked for, and what was found of them as a URDF."""
+"""Which constants of a robot and its frames are to be identified, and a URDF with their identified values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aridcal.system.errors import RobotError
 
 
 def frame_coefficients(question: Question, labels: tuple[str, ...], data: Dataset) -> tuple[Coefficient, ...]:
-    """Unknowns of the frames that are to be identified: world_base first, then what cameras and boards are unknown in."""
+    """Unknowns of the frames that are to be identified: world_base, tip_target, then those of cameras and boards."""
     unknowns = []
     for where, frame in (("world_base", question.world_base), ("tip_target", question.tip_target)):
         if frame.unknown and (where == "tip_target" or has_world(data)):
@@ -38,7 +38,7 @@ def frame_coefficients(question: Question, labels: tuple[str, ...], data: Datase
 
 
 def asked_constants(question: Question, robot: Robot, data: Dataset) -> tuple[Coefficient, ...]:
-    """All that is to be identified: unknown frames, then the robot's constants."""
+    """All constants that are to be identified: unknown frames, then the robot's."""
     labels = station_labels(question, data)
     return frame_coefficients(question, labels, data) + constants(robot, question.constants)
 
@@ -63,7 +63,7 @@ def measures_target(data: Dataset) -> bool:
 
 
 def constants(robot: Robot, parameter_set: str) -> tuple[Coefficient, ...]:
-    """Candidate constants of a parameter set, the ones to keep before others first (FORMATS section 4)."""
+    """Candidate constants of a parameter set, those to be kept before others first (FORMATS section 4)."""
     if parameter_set == "none":
         return ()
     if parameter_set == "full":

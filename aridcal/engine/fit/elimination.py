@@ -6,7 +6,7 @@ coefficients of the model. For weights w and noise :math:`\sigma_c` of channel c
 .. math:: H_g = \sum_c B_c^T B_c / \sigma_c^2 + T_g, \qquad C_g = \sum_c B_c^T J_c / \sigma_c^2, \qquad
           b_g = \sum_c B_c^T r_c / \sigma_c^2 + t_g
 
-with T and t of what is known of the group beforehand. Its unknowns follow any step of the coefficients,
+with T and t from prior knowledge of the group. Its unknowns follow any step of the coefficients,
 
 .. math:: \lambda_g = H_g^{-1} (b_g - C_g \theta) = y_g - X_g \theta
 
@@ -38,11 +38,11 @@ class Groups:
 
     Attributes:
         row: Group of each row, shape (N,); -1 for none.
-        role: Number of the role of its thing, shape (N,); -1 for none.
+        role: Number of the role of the row's thing, shape (N,); -1 for none.
         thing: Number of that thing, shape (N,).
         roles: Names of the roles.
         group: Group of each thing, shape (L,) by role; -1 where nothing of it is unknown.
-        slot: Which of its group's unknowns each component is, shape (L, u) by role; -1 where it is known.
+        slot: Which of its group's unknowns each component of a thing is, shape (L, u) by role; -1 where it is known.
         unknown: Which of the U unknowns each group has, shape (G, U) bool.
     """
 
@@ -55,7 +55,7 @@ class Groups:
     unknown: np.ndarray
 
     def select(self, rows: np.ndarray) -> Groups:
-        """Those of some of the rows."""
+        """The groups with some of the rows alone."""
         return replace(self, row=self.row[rows], role=self.role[rows], thing=self.thing[rows])
 
     def columns(self, by_thing: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
@@ -76,12 +76,12 @@ class Groups:
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of groups beforehand, as rows of unit noise: of ties, and of what has a stated uncertainty.
+    """Prior knowledge of groups as T rows of unit noise: ties, and places with a declared uncertainty.
 
     Attributes:
-        group: Of each, shape (T,).
-        by: Its columns, shape (T, U).
-        left: Stated minus present value, in sigmas, shape (T,).
+        group: Group of each row, shape (T,).
+        by: Columns of the group's unknowns, shape (T, U).
+        left: Declared minus present value, in sigmas, shape (T,).
     """
 
     group: np.ndarray
@@ -130,8 +130,8 @@ class Eliminated:
         X: How their unknowns follow the coefficients, shape (G, U, K).
         y: Their step where the coefficients stay, shape (G, U).
         inverse: H^-1, shape (G, U, U).
-        squares: Of what is known of them and left, in sigmas.
-        rank: Unknowns that the rows and what is known tell, shape (G,).
+        squares: Sum of squares of the prior knowledge, in sigmas.
+        rank: Unknowns that rows and prior knowledge determine, shape (G,).
     """
 
     X: np.ndarray
@@ -141,7 +141,7 @@ class Eliminated:
     rank: np.ndarray
 
     def rows(self, group: np.ndarray, B: np.ndarray, J: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (n, m) and columns (n, m, K) of rows less what their groups take up."""
+        """Residuals (n, m) and columns (n, m, K) of rows, less the part that their groups take up."""
         grouped = group >= 0
         r, J = r.copy(), J.copy()
         J[grouped] -= B[grouped] @ self.X[group[grouped]]
@@ -151,7 +151,7 @@ class Eliminated:
 
 @dataclass(frozen=True)
 class Projector:
-    """Takes off columns what the unknowns of groups take up: (1 - B H^-1 B'W) of N rows.
+    """Takes the part that unknowns of groups take up off columns: (1 - B H^-1 B'W) of N rows.
 
     Attributes:
         B: Columns of the rows' own group, shape (N, m, U).
@@ -164,7 +164,7 @@ class Projector:
     pull: np.ndarray
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Columns, shape (N, m, d), less what groups take up."""
+        """Columns, shape (N, m, d), less the part that groups take up."""
         grouped = np.flatnonzero(self.group >= 0)
         number = self.group[grouped]
         gather = coo_array(
@@ -180,7 +180,7 @@ class Projector:
 def projector(
     B: np.ndarray, group: np.ndarray, elimination: Eliminated, weight: np.ndarray, sigma: np.ndarray
 ) -> Projector:
-    """What takes groups off columns.
+    """The projector that takes groups off columns.
 
     Args:
         B: Of all rows, scaled, shape (N, m, U).
@@ -197,7 +197,7 @@ def projector(
 
 
 def groups(measured: Measured) -> Groups | None:
-    """The groups of all things of which there may be many; None where nothing is unknown of any."""
+    """Groups of the things of roles that may have many; None where none of these things has an unknown."""
     things = {name: t for name, t in measured.instruments.things.items() if t.role.many}
     first = dict(zip(things, np.cumsum([0, *(len(t) for t in things.values())]).tolist(), strict=False))
     count = sum(len(t) for t in things.values())
@@ -232,7 +232,7 @@ def groups(measured: Measured) -> Groups | None:
 
 
 def known(groups: Groups, instruments: Instruments, states: States) -> Known:
-    """Ties and stated uncertainties of things, about where these are."""
+    """Ties and declared uncertainties of things as rows, linearised where the things are."""
     rows: list[tuple[int, np.ndarray, float]] = []
     width = groups.unknown.shape[1]
     for tie in instruments.ties:
@@ -257,7 +257,7 @@ def known(groups: Groups, instruments: Instruments, states: States) -> Known:
 def _row_of_tie(
     tie: Tie, groups: Groups, instruments: Instruments, states: States, width: int
 ) -> tuple[int, np.ndarray, float] | None:
-    """A tie as a row: group, columns, and what is left in sigmas; None where nothing of it is sought."""
+    """A tie as a row: group, columns, and declared minus present value in sigmas; None where no end of it has an unknown."""
     things = instruments.things[tie.role]
     if not {tie.first, tie.second} <= set(things.names):
         return None
@@ -278,7 +278,7 @@ def _row_of_tie(
 
 
 def _value_of_tie(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
-    """What a tie is about: the distance of two points, or the cosine of two normals, in either order."""
+    """The quantity that a tie fixes: the distance of two points, or the cosine of the angle of two normals, in either order."""
     a, b = first[:3], second[:3]
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
@@ -289,7 +289,7 @@ def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> 
     Args:
         sums: Over their rows.
         groups: The groups.
-        beforehand: What is known of them.
+        beforehand: Prior knowledge of them.
         sigma: Noise of each channel, shape (C,).
     """
     per = 1.0 / sigma**2
@@ -306,13 +306,13 @@ def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> 
 def reduced(
     equations: NormalEquations, sums: Sums, elimination: Eliminated, beforehand: Known, sigma: np.ndarray
 ) -> NormalEquations:
-    """Normal equations of the coefficients with the groups solved for; what is known of these counts as their first channel's.
+    """Normal equations of the coefficients with the groups solved for; prior knowledge counts in the groups' main channel.
 
     Args:
         equations: Of all rows, groups held.
         sums: Over the rows of the groups.
-        elimination: Those solved.
-        beforehand: What is known of them.
+        elimination: The groups solved.
+        beforehand: Prior knowledge of them.
         sigma: Noise of each channel, shape (C,).
     """
     AA, Ar, rr, count = (value.copy() for value in (equations.AA, equations.Ar, equations.rr, equations.count))
@@ -350,5 +350,5 @@ def moved(states: States, groups: Groups, instruments: Instruments, step: np.nda
 
 
 def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
-    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
+    """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
     return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

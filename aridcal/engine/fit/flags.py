@@ -79,7 +79,7 @@ def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
 
 
 def _quantiles(values: np.ndarray) -> list[float]:
-    """Quantiles at :data:`QUANTILES`, between neighbours linearly: as NumPy has them, whose own function takes 0.1 ms for few."""
+    """Quantiles at :data:`QUANTILES`, linear between neighbours, as NumPy's, whose function takes 0.1 ms even for few values."""
     places = [q * (len(values) - 1) for q in QUANTILES]
     lower = [int(place) for place in places]
     ordered = np.partition(values, [k for low in lower for k in (low, min(low + 1, len(values) - 1))])
@@ -111,7 +111,7 @@ def limits(data: Dataset, exempt: np.ndarray | None = None) -> np.ndarray:
 
     Args:
         data: N rows.
-        exempt: Rows that are not to be flagged whatever they leave, shape (N,) bool.
+        exempt: Rows that are never flagged, however large their residual, shape (N,) bool.
     """
     usual = np.where(data.repeats.doubtful, SUSPECT, OUTLIER)
     return usual if exempt is None else np.where(exempt, np.inf, usual)
@@ -123,7 +123,7 @@ def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
     Args:
         r: Scaled residuals, shape (N, m).
         channels: Their channels.
-        limit: Sigmas at which each row becomes one, shape (N,); see :func:`limits`.
+        limit: Sigmas beyond which each row is an outlier, shape (N,); see :func:`limits`.
     """
     return np.asarray(distance(r, robust_sigma(r, channels), channels) > limit)
 
@@ -151,7 +151,7 @@ def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
 
 
 def coordinates(data: Dataset) -> dict[str, np.ndarray]:
-    """Everything in which rows may lie together, shape (N,) each."""
+    """Values of every coordinate in which rows may lie together, shape (N,) each, by the name of the coordinate."""
     values_of = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
     values_of |= dict(zip(data.names, data.readings.T, strict=True))
     if not np.isnan(data.position).any():
@@ -175,7 +175,7 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
     low, high = (ends[k] for k in np.triu_indices(len(ends)))
     inside = np.searchsorted(ordered, high, side="right") - np.searchsorted(ordered, low)
     hits = np.searchsorted(flagged_values, high, side="right") - np.searchsorted(flagged_values, low)
-    # of f - 1 other flags at least hits - 1 in the window: the binomial tail (DLMF 8.17.5), 1 where none is asked for
+    # of f - 1 other flags at least hits - 1 in the window: the binomial tail (DLMF 8.17.5), 1 where no other need be there
     least = np.maximum(hits - 1, 1)
     tail = betainc(least, f - least, (inside - 1) / (len(ordered) - 1))
     chance = np.where(hits > 1, tail, 1.0)
@@ -187,7 +187,7 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
 
 
 def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """What the noise of the coarsest channel is in the unit of each, shape (C,); 0 for channels in sigmas."""
+    """Noise of the coarsest channel in the unit of each channel, shape (C,); 0 for channels in sigmas."""
     size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
     there = size > 0.0
     return size * float(np.max(sigma[there] / size[there], initial=0.0))

@@ -52,7 +52,7 @@ class FrameStart:
 
 @dataclass(frozen=True)
 class Posed:
-    """Rows that tell where the target is, and the frames that each belongs to.
+    """Rows that measure the target's place, and the frames that each belongs to.
 
     Attributes:
         R: Nominal T_base_tip, shape (N, 3, 3).
@@ -74,12 +74,12 @@ class Posed:
 def start_frames(
     data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
 ) -> list[FrameStart]:
-    """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
+    """Candidate starts for unknown T_world_base and T_tip_target; a fit from each tells which is right.
 
     Args:
         data: N rows.
-        known_world: The frames, where they are not to be identified.
-        known_tip: Likewise.
+        known_world: T_world_base of each world frame; None where they are to be identified.
+        known_tip: T_tip_target of each target; None likewise.
         hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
             directions that the base can follow (a tool that never tilts).
     """
@@ -100,7 +100,7 @@ def start_frames(
 
 
 def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
-    """That of the starts with the smallest misfit; see :func:`start_frames`."""
+    """The start with the smallest misfit; see :func:`start_frames`."""
     channels = kind_of_places(data.M).channels
 
     def left(start: FrameStart) -> float:
@@ -121,7 +121,7 @@ def _points(data: Posed, t: np.ndarray) -> np.ndarray:
 
 
 def _columns(data: Posed, tips: int) -> np.ndarray:
-    """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
+    """Derivatives of the targets in the base frame by the target translations, shape (N, 3, 3 tips)."""
     columns = np.zeros((len(data.p), 3, 3 * tips))
     for k in range(tips):
         columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
@@ -129,7 +129,7 @@ def _columns(data: Posed, tips: int) -> np.ndarray:
 
 
 def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Values minus the mean of the rows that share a label."""
+    """Values minus the mean over the rows of the same label."""
     out = values.copy()
     for k in np.unique(label):
         out[label == k] -= values[label == k].mean(axis=0)
@@ -139,7 +139,7 @@ def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
 def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
     """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
 
-    Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
+    Minimises over t the misfit after Kabsch's rotation: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
     of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
     """
     tips = len(hint)
@@ -154,7 +154,7 @@ def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
 
 
 def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
-    """Places without those that hardly differ from one before."""
+    """Translations without those that hardly differ from an earlier one."""
     distinct: list[np.ndarray] = []
     for t in places:
         if not any(np.allclose(t, other, atol=apart) for other in distinct):
@@ -194,7 +194,7 @@ def _lever_cost(data: Posed, tips: int) -> Cost:
 
 
 def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
-    """A minimum and its place, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
+    """Value and place of a minimum, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
 
     The library's minimisers find the same ones, and take longer to be loaded than to find them.
     """
@@ -224,7 +224,7 @@ def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
     """The part of a gap from a minimum t to the hint, shape (T,), that the misfit does not notice, size being its unit [m].
 
-    What cannot be identified stays at its hint.
+    So a translation that cannot be identified stays at its hint.
     """
     steps = 1e-2 * size * np.eye(len(t))
     H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
@@ -236,12 +236,12 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
 
 
 def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
-    """T_world_base of each world frame for known target translations; measured rotations help where there are any.
+    """T_world_base of each world frame for known target translations, from positions and, where measured, rotations.
 
     Args:
         data: The rows.
         t: Target translations, shape (tips, 3).
-        turned: Rotation of the target in the base frame where it is known, shape (N, 3, 3).
+        turned: Rotation of the target in the base frame, shape (N, 3, 3); None where it is not known.
     """
     c = _points(data, t)
     frames = []
@@ -297,7 +297,7 @@ def _levers_from_worlds(data: Posed, world_base: Frames, tips: int) -> np.ndarra
 
 
 def _with_target(data: Posed, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
-    """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
+    """The start of given world_base frames and target translations, the targets' rotations from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []
     for k, frame in enumerate(hint):

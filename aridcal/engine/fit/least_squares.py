@@ -110,7 +110,7 @@ class Convergence:
         gradient: Largest gradient, as the step it asks for in sigmas of the coefficient.
         condition: Of the Jacobian, each column scaled to length 1.
         restarts: Other starts that were tried; each must lead to the same minimum.
-        agreed: How many of them did.
+        agreed: How many of them led there.
     """
 
     steps: int
@@ -121,7 +121,7 @@ class Convergence:
 
     @property
     def converged(self) -> bool:
-        """True if the gradient vanished. Whether other starts lead to the same minimum is told by ``agreed``."""
+        """True if the gradient vanished; ``agreed`` says whether other starts lead to the same minimum."""
         return self.gradient < VANISHED
 
 
@@ -137,13 +137,12 @@ class Fit:
         estimated: Noise that the residuals show, degrees of freedom taken into account, shape (C,).
         weight: Of each row, shape (N,): 0 for outliers.
         residual: Measured minus predicted, scaled by the rows' relative sigmas, shape (N, m).
-        candidates: All coefficients that were asked for.
-        redundant: For each that was dropped: the names of those it is confounded with.
+        candidates: All coefficients that were to be fitted.
+        redundant: For each candidate that was dropped, the names of the coefficients that it is confounded with.
         convergence: How well the minimum was found.
         spent: Degrees of freedom used up: K, or less where priors shrink.
         numbers: Numbers measured in the rows in use.
-        believed: Precision with which coefficients were believed to be zero, where rows are few, shape (K, K): all zero where
-            nothing was believed.
+        believed: Precision of a prior at zero, used where rows are few, shape (K, K): all zero without one.
     """
 
     model: Model
@@ -167,14 +166,14 @@ class Fit:
 
     @cached_property
     def information(self) -> np.ndarray:
-        """Inverse of the covariance, shape (K, K): of rows and priors; of combinations that move nothing there is none."""
+        """Inverse of the covariance, shape (K, K), of rows and priors; 0 for combinations that move nothing."""
         scale = np.where(self.std > 0.0, self.std, 1.0)
         relative = self.covariance / np.outer(scale, scale)
         return np.asarray(np.linalg.pinv(relative, rcond=RANK, hermitian=True) / np.outer(scale, scale))
 
     @property
     def outliers(self) -> np.ndarray:
-        """Rows that were given no weight, shape (N,)."""
+        """Rows of weight 0, shape (N,) bool."""
         return np.asarray(self.weight < 0.5)
 
     @property
@@ -188,12 +187,12 @@ class Minimum:
     """Where a minimisation ended.
 
     Attributes:
-        theta: Shape (K,).
-        at: The problem there.
+        theta: Coefficients, shape (K,).
+        at: The problem linearised there.
         sigma: Noise of each channel, shape (C,).
         steps: Steps taken.
         gradient: As in :class:`Convergence`.
-        question: The problem, its things where they were found.
+        question: The problem, its things at the minimum.
     """
 
     theta: np.ndarray
@@ -210,9 +209,9 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     Args:
         problem: K coefficients, N rows.
         theta: Start, shape (K,).
-        weight: Of each row, shape (N,); None: Cauchy's, its scale found anew at each step, and the last decimals
+        weight: Of each row, shape (N,); None: Cauchy's, its scale estimated anew at each step, and the last decimals
             left to a later call with fixed weights.
-        prior: Beliefs that are not measured here.
+        prior: Of the coefficients, from elsewhere than these rows.
     """
     channels, declared = problem.channels, problem.data.declared
     robust, abreast, even = weight is None, True, np.ones(len(channels))
@@ -282,7 +281,7 @@ def fit(
         problem: K identifiable coefficients, N rows.
         theta: Start; default: zero.
         weight: Weights to use instead of looking for outliers, shape (N,).
-        prior: Beliefs that are not measured here.
+        prior: Of the coefficients, from elsewhere than these rows.
     """
     model, data = problem.model, problem.data
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
@@ -326,12 +325,12 @@ def fit(
 
 
 def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]] = ()) -> Fit:
-    """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
+    """Fit the identifiable coefficients of a model; the others stay nominal and are named as redundant.
 
     Args:
         problem: All candidates, N rows.
-        order: The candidates' indices, the ones to keep before others first.
-        groups: Candidates that are believed to be alike in size, where rows are few; see :func:`shrunk`.
+        order: The candidates' indices, those to be kept before others first.
+        groups: Candidates of one prior size, where rows are few; see :func:`shrunk`.
 
     Raises:
         NotIdentifiable: nothing at all can be identified.
@@ -368,16 +367,16 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
 def _fit_few_rows(
     problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, free_subset: Subset
 ) -> tuple[Fit, Subset]:
-    """The fit of rows so few that something must be believed of the constants, and which of these it has.
+    """The fit of rows so few that the constants need a prior, and the subset of constants that it has.
 
-    It has those, too, that only other configurations would tell: what is believed of them is then part of the covariance.
+    Constants that only other configurations would determine are in it, too: their prior is then part of the covariance.
 
     Args:
         problem: All candidates, N rows.
         order: As for :func:`fit_identifiable`.
         groups: Likewise.
-        free: A free fit of those that these rows tell, with values of all, the others zero.
-        free_subset: Which these are.
+        free: A fit without a prior, with values of all candidates: zero for those that are not in ``free_subset``.
+        free_subset: The coefficients of that fit.
     """
     model, kept = problem.model, sorted(free_subset.kept)
     constants = [k for group in groups for k in group]
@@ -386,7 +385,7 @@ def _fit_few_rows(
     R = triangle(problem, theta, free.weight, free.sigma)
     if problem.measured.direct:
         R = np.asarray(np.linalg.qr(np.vstack([R, _columns_elsewhere(problem, theta, free.sigma)]), mode="r"))
-    # Of frames nothing is believed: those that these rows do not tell stay out.
+    # Frames have no prior: those that these rows do not determine stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
     every = sorted(subset.kept)
     begin = replace(free, theta=theta[every])
@@ -397,7 +396,7 @@ def _fit_few_rows(
 
 
 def _columns_elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Columns of all candidates where the joints' readings are combined otherwise than in the rows, (numbers, candidates)."""
+    """Columns of all candidates at other combinations of the rows' joint readings, shape (numbers, candidates)."""
     data, rng = problem.data, np.random.default_rng(0)
     some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
     readings = np.column_stack([rng.permutation(column[some]) for column in data.readings.T])
@@ -412,8 +411,8 @@ def _motions_of_groups(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequ
 
     Args:
         R: Triangle of the columns of all candidates, shape (all, all).
-        kept: Those that are fitted.
-        groups: Candidates; coefficients of none of them are free.
+        kept: Candidates that are fitted.
+        groups: Candidates of each group; a coefficient of no group has no prior.
     """
     T = np.linalg.lstsq(R[:, kept], R, rcond=None)[0]
     free = [k for k, candidate in enumerate(kept) if not any(candidate in group for group in groups)]
@@ -422,10 +421,10 @@ def _motions_of_groups(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequ
 
 
 def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
-    r"""A fit in which constants of a group are believed to be alike in size, of a size that the rows tell.
+    r"""A fit with a prior of one size for the constants of a group, the size being estimated from the rows.
 
     Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients
-    that are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
+    that are fitted stand for sums of them, :math:`\theta = T \varphi`, with the prior :math:`N(0, C)`,
 
     .. math:: C = \sum_g \tau_g^2 T_g T_g^T
 
@@ -433,14 +432,14 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
     .. math:: \tau_g^2 = \frac{\nu \tau_0^2 + \sum_{k \in g} (E \varphi_k^2)}{\nu + n_g}
 
-    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near
-    zero; where they tell much, the fit is the free one. Noise that rows do not tell, as there are hardly more numbers than
-    coefficients, is taken to be no finer than :data:`UNKNOWN_NOISE`: else what was fitted passes for noise that is not there.
+    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. Constants that rows do not determine
+    stay near zero; where rows tell much, the fit is the free one. Where there are hardly more numbers than coefficients, the
+    noise is taken to be no finer than :data:`UNKNOWN_NOISE`: a close fit would pass for a fine instrument.
 
     Args:
         problem: K identifiable coefficients, N rows.
-        free: A free fit of them, to begin from; its weights stay.
-        groups: For each group :math:`T_g`, shape (K, n_g): zero for the coefficients of which nothing is believed.
+        free: A fit of them without a prior, to begin from; its weights stay.
+        groups: :math:`T_g` of each group, shape (K, n_g): zero for the coefficients without a prior.
     """
     believed = np.flatnonzero(np.any(np.concatenate(groups, axis=1), axis=1))
     parts = [T[believed] for T in groups]
@@ -462,7 +461,9 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):
-            gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]  # of the constants on what is fitted
+            gain = (
+                before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]
+            )  # regression of the constants on the coefficients
             size_of_means = float(np.trace(gain @ second @ gain.T))
             size_of_doubts = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
             sizes[g] = np.sqrt((BELIEVED * USUAL**2 + size_of_means + size_of_doubts) / (BELIEVED + T.shape[1]))
@@ -472,21 +473,21 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
 
 def _has_many(problem: Problem) -> bool:
-    """Whether a fit of some of the rows alone leaves next to nothing to do."""
+    """Whether rows are so many that a fit of some leaves next to nothing to do for all."""
     return len(problem) > 2 * AHEAD and problem.measured.direct
 
 
 def _rows_for_rough_fit(problem: Problem) -> np.ndarray:
-    """Row numbers of a choice that is large enough for all coefficients, whatever a row measures."""
+    """Row numbers of a choice large enough for a robust fit of all coefficients, whatever a row measures."""
     numbers = sum(channel.size for channel in problem.channels) / len(problem.channels)
     most = max(ROUGH_ROWS, 4 * len(problem.model.coefficients))
     return thin(problem.rows, round(most * max(1.0, NUMBERS / numbers)), problem.groups)
 
 
 def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
-    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share.
+    """Ascending row numbers: all, or a reproducible random choice of about ``most``, every frame with its share.
 
-    Rows of things that have few are taken together or not at all: one row of a thing tells of nothing else.
+    Where things have few rows each, all rows of a thing are chosen or none: one row tells nothing beside the thing's place.
     """
     if len(rows) <= most:
         return np.arange(len(rows))
@@ -504,14 +505,14 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
 
 
 def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
-    """The same rows for fewer coefficients: their bases follow."""
+    """The problem for some of its coefficients alone, with their bases."""
     if len(kept) == len(problem.model.coefficients):
         return problem
     return replace(problem, measured=problem.measured.narrowed(kept))
 
 
 def _noise_of_residuals(combined: Combined, sigma: np.ndarray) -> np.ndarray:
-    """Noise of each channel from the residuals, shape (C,): sum of squares over the degrees of freedom that it has left."""
+    """Noise of each channel from the residuals, shape (C,): the root of squares over the remaining degrees of freedom."""
     equations = combined.equations
     freedom = equations.count - equations.spent(inverse(combined.information(sigma), ridge=0.0), sigma)
     sigma_of_residuals = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))

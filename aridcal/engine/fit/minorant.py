@@ -44,7 +44,7 @@ class Bound:
 
     Attributes:
         blocks: Covariance of each row per unit of each variance, shape (C, N, m, m).
-        stated: What no component scatters, shape (N, m, m).
+        stated: Covariance of the numbers that no component scatters, shape (N, m, m).
         M: See :func:`moments`, shape (N, m, m).
     """
 
@@ -56,9 +56,9 @@ class Bound:
         """Variances at which the bound is highest, shape (C,).
 
         Args:
-            theta: To begin with, shape (C,).
-            free: Those that may move, shape (C,) bool.
-            low: Below which they do not fall, shape (C,).
+            theta: Variances to begin with, shape (C,).
+            free: Variances that may move, shape (C,) bool.
+            low: Below which variances do not fall, shape (C,).
         """
         active = np.flatnonzero(free)
         B, low, at = self.blocks[active], low[active], theta[active]

@@ -45,8 +45,8 @@ class Repeats:
 def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     """Scatter of rows that repeat a configuration; None where none does.
 
-    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much. Of other kinds
-    those rows repeat one that also are of one block and refer to the same things: several marks in one image do not.
+    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model predicts the difference. Repeats
+    of other kinds are of one block and refer to the same things: several marks in one image are no repeats.
 
     Args:
         rows: N rows.
@@ -122,7 +122,7 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
 
 
 def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:
-    """How many times the declared noise the residuals show, where they contradict it beyond chance; 1 elsewhere, shape (C,).
+    """Ratio of the residuals' noise to the declared, shape (C,); 1 for channels where chance explains the difference.
 
     Arguments as for :func:`declared_notices`.
     """
@@ -132,12 +132,12 @@ def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.nda
 
 
 def _of_one_place(rows: Dataset) -> np.ndarray:
-    """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not."""
+    """Number of each row's place and thing together, shape (N,): marks of one image are different things."""
     return by_appearance(first_alike([held_together(rows), rows.labels.block, *rows.labels.refers.T]))
 
 
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:
-    r"""Of a row, how much it counts for where rows of one place err alike: 1 where they do not, or no place has two.
+    r"""How many independent rows a row counts for, as rows of one place err alike: 1 where they do not, or no place has two.
 
     With :math:`\rho` the correlation of the errors of two rows of one place, :math:`m_g` rows of place g tell as much as
 

@@ -71,25 +71,25 @@ class NormalEquations:
         return np.asarray(np.einsum("ij,cij->c", inverse, self.AA) / sigma**2)
 
     def minus(self, other: NormalEquations) -> NormalEquations:
-        """What is left when the rows of others are taken out."""
+        """The equations without the rows of the other sums."""
         return NormalEquations(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
 
     def part(self, keep: np.ndarray) -> NormalEquations:
-        """Those of some of the unknowns."""
+        """The equations of some of the unknowns, all others held at zero."""
         return NormalEquations(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
 
     def bordered(self, cross: np.ndarray, among: np.ndarray, pull: np.ndarray) -> NormalEquations:
-        """Those with d columns added, of which all products are known.
+        """The equations with d columns added behind the K, from their products.
 
         Args:
-            cross: With the columns that are there, shape (C, K, d).
-            among: With one another, shape (C, d, d).
-            pull: With the right-hand side, shape (C, d).
+            cross: Products of the K columns with the new ones, shape (C, K, d).
+            among: Products of the new columns with one another, shape (C, d, d).
+            pull: Products of the new columns with the right-hand side, shape (C, d).
         """
         return NormalEquations(_bordered(self.AA, cross, among), np.hstack([self.Ar, pull]), self.rr, self.count)
 
     def combined(self, T: np.ndarray) -> NormalEquations:
-        """Those with the last d unknowns replaced by combinations of them, T of shape (d, new)."""
+        """The equations with the last d unknowns replaced by their combinations T, shape (d, new)."""
         first = self.AA.shape[1] - len(T)
         kept, replaced = slice(first), slice(first, None)
         cross = self.AA[:, kept, replaced] @ T
@@ -100,7 +100,7 @@ class NormalEquations:
 
 
 def accumulate(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquations:
-    """Sums of columns (n, K) and right-hand sides (n,), one of each for every channel."""
+    """Normal equations from columns (n, K) and right-hand sides (n,), one of each for every channel."""
     information = np.array([a.T @ a for a in A])
     pull = np.array([a.T @ b for a, b in zip(A, r, strict=True)])
     squares = np.array([b @ b for b in r])
@@ -116,9 +116,9 @@ def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndar
 
 
 def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """H brought to unit diagonal (plus a ridge), and the scale of its unknowns: metres and radians must not upset the rank.
+    """H scaled to unit diagonal (plus a ridge), and the scale of its unknowns: metres and radians must not upset the rank.
 
-    An unknown that moves nothing keeps a diagonal of 1 and a scale of 0: its solution is 0.
+    An unknown that moves nothing gets a diagonal of 1 and a scale of 0: its solution is 0.
     """
     diagonal = np.diag(H)
     moves = diagonal > TINY
@@ -130,7 +130,7 @@ def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]
 
 
 def directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues of matrices (G, U, U) brought to unit diagonal, infinite for what is rounding; vectors; scales of unknowns."""
+    """Eigenvalues of matrices (G, U, U) scaled to unit diagonal, infinite where rounding; eigenvectors; scales of unknowns."""
     size = np.sqrt(np.einsum("guu->gu", H))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
@@ -193,12 +193,12 @@ def condition(H: np.ndarray) -> float:
 
 
 def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
-    """Solutions with the first unknowns alone, the others zero, and with all, shape (K, 2), by one factorisation.
+    """Solutions for the first unknowns alone, the others zero, and for all, shape (K, 2), by one factorisation.
 
     Args:
         H: Shape (K, K).
         g: Shape (K,).
-        first: How many come first.
+        first: Number of the first unknowns.
     """
     S, scale = balanced(H, RIDGE)
     factor, failed = dpotrf(S.T, lower=1)
@@ -235,11 +235,11 @@ def conditional(
 
 
 def root_of_inverse(M: np.ndarray, share: float) -> np.ndarray:
-    """W, shape (d, k), with W^T W the pseudo-inverse of information M, shape (k, k), over the d directions that it tells.
+    """W, shape (d, k), with W^T W the pseudo-inverse of information M, shape (k, k), over the d directions that M determines.
 
     Args:
         M: Information of k unknowns.
-        share: Of the largest eigenvalue, unknowns scaled alike, that one must reach.
+        share: Of the largest eigenvalue, unknowns scaled to unit diagonal, that a direction's must reach.
     """
     S, scale = balanced(M)
     S[:, scale == 0.0] = 0.0
@@ -258,14 +258,14 @@ def pseudo_inverse(H: np.ndarray, share: float) -> tuple[np.ndarray, int]:
 
 
 def across(free: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """What is left of columns (n, k) where others (n, f) may take up all that they can: motions that nobody can tell apart."""
+    """Columns (n, k) less their projection on the columns ``free`` (n, f), which can imitate that part."""
     if not free.shape[1]:
         return columns
     return np.asarray(columns - free @ np.linalg.lstsq(free, columns, rcond=None)[0])
 
 
 def last_log_determinant(H: np.ndarray, first: int) -> float:
-    """Logarithm of the determinant of what is left of the unknowns after the first ones, when these are solved for."""
+    """Logarithm of the determinant of the equations of the unknowns after the first ones, these being solved for."""
     S, scale = balanced(H, RIDGE)
     factor, failed = dpotrf(S.T, lower=1)
     if failed:
@@ -276,7 +276,7 @@ def last_log_determinant(H: np.ndarray, first: int) -> float:
 def added(
     equations: NormalEquations, precision: np.ndarray, inverse_before: np.ndarray, spent: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Solution when d unknowns are added, and what each channel gives up then, from the inverse without them.
+    r"""Solution with d unknowns added, and degrees of freedom used up in each channel, from the inverse without them.
 
     .. math:: W = H_{aa}^{-1} H_{ab}, \quad S = H_{bb} - H_{ba} W, \quad
               \theta_b = S^{-1} (g_b - W^T g_a), \quad \theta_a = H_{aa}^{-1} g_a - W \theta_b
@@ -289,7 +289,7 @@ def added(
         precision: Of the prior of all, block by block, shape (K + d, K + d).
         inverse_before: H_aa^-1 with its prior, shape (K, K).
         spent: Degrees of freedom that each channel gives up without the unknowns b, shape (C,).
-        sigma: The noise that both are for, shape (C,).
+        sigma: Noise of each channel for both, shape (C,).
 
     Returns:
         theta, shape (K + d,), and the degrees of freedom with all, shape (C,).
@@ -310,14 +310,14 @@ def added(
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of the coefficients beforehand.
+    """A normal prior of the coefficients.
 
     Attributes:
         mean: Shape (K,).
         precision: Shape (K, K).
-        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, for coefficients that follow
-            one another: square blocks along the diagonal of a matrix of shape (K, K). The samples of a smooth function are
-            far too alike themselves to be solved for one by one. None: each its own.
+        basis: Combinations of coefficients, in columns, of similar prior precision: square blocks along the diagonal of a matrix
+            of shape (K, K). Neighbouring samples of a smooth function are too alike to be solved for one by one. None: the
+            coefficients themselves.
     """
 
     mean: np.ndarray
@@ -333,7 +333,7 @@ class Prior:
 class Combined:
     """Equations of a step of K coefficients in the combinations that a prior holds independent.
 
-    With B the prior's basis, :math:`B^T A_c^T A_c B` is made once; each noise that is tried costs a sum of these.
+    With B the prior's basis, :math:`B^T A_c^T A_c B` is computed once; each trial of a noise costs a sum over channels.
     """
 
     def __init__(self, equations: NormalEquations, prior: Prior | None) -> None:
@@ -341,7 +341,7 @@ class Combined:
 
         Args:
             equations: Of the coefficients.
-            prior: What is believed of them.
+            prior: Their prior; None for none.
         """
         self._prior, self._blocks = prior, None if prior is None else prior.basis
         AA, Ar = _both_sides(self._blocks, equations.AA), _transposed(self._blocks, equations.Ar[..., None])[..., 0]
@@ -361,7 +361,7 @@ class Combined:
         return np.asarray(g + _transposed(self._blocks, pull_of_prior[:, None])[:, 0])
 
     def squares(self, theta: np.ndarray) -> float:
-        """How far coefficients are from what is believed of them, squared, in sigmas."""
+        """Squared distance of coefficients from the prior's mean, in sigmas."""
         if self._prior is None:
             return 0.0
         off = theta - self._prior.mean
@@ -372,7 +372,7 @@ class Combined:
         return _transposed(None if self._blocks is None else tuple(b.T for b in self._blocks), values)
 
     def covariance(self, inverse: np.ndarray) -> np.ndarray:
-        """Of the coefficients, shape (K, K), from that of the combinations."""
+        """Covariance of the coefficients, shape (K, K), from that of the combinations."""
         return _both_sides(None if self._blocks is None else tuple(b.T for b in self._blocks), inverse)
 
 

@@ -1,4 +1,4 @@
-"""Sums over the rows of a problem: its normal equations, and what is left of rows when things are solved for."""
+"""Sums over the rows of a problem: its normal equations, and residuals and columns once things are solved for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NUMBERS = 1024
 
 
 def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
-    """What the last coefficients alone take off the scaled residuals, things held, shape (N, m, count)."""
+    """Columns of the last coefficients in the scaled residuals, things held, shape (N, m, count)."""
     size = sum(channel.size for channel in question.channels)
     J = np.empty((len(question), size, count))
     for block in question.blocks():
@@ -48,8 +48,8 @@ class Linearisation:
         residual: Scaled, shape (N, m); NaN where a row does not measure a channel.
         weight: Of each row, shape (N,).
         equations: Their sums, weights included; the unknowns of groups are solved for.
-        agreed: Joint positions at which the measurements agree with the model, shape (N, joints), one step nearer.
-        groups: Those, solved; None where there are none.
+        agreed: Joint positions one step nearer to those at which measurements and model agree, shape (N, joints).
+        groups: The groups of unknown things, solved; None where there are none.
     """
 
     residual: np.ndarray
@@ -59,7 +59,7 @@ class Linearisation:
     groups: Eliminated | None = None
 
     def squares(self, weight: np.ndarray, sigma: np.ndarray, channels: Channels) -> float:
-        """Sum of squares in sigmas, rows counted by weight, and of what stated facts on the things leave."""
+        """Sum of squares in sigmas, rows counted by weight, with the squares of the declared facts on the things."""
         rows = float(np.sum(weighted_squares(self.residual, weight, channels) / sigma**2))
         return rows if self.groups is None else rows + self.groups.squares
 
@@ -75,7 +75,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         question: K coefficients, N rows.
         theta: Values of the coefficients, shape (K,).
         weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
-        sigma: See ``weight``, shape (C,); the channels weigh so in what groups of several are solved for.
+        sigma: Noise of each channel, shape (C,): the scale of ``weight``, and the weights of channels in groups of several.
     """
     question = question.agreeing(theta)
     channels, count = question.channels, len(theta)
@@ -125,7 +125,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
 
 
 def _sums(question: Problem, count: int) -> Sums | None:
-    """Sums of groups to begin with; None where there are no groups."""
+    """Empty sums of the groups; None where there are no groups."""
     if question.groups is None:
         return None
     channels, (many, width) = len(question.channels), question.groups.unknown.shape
@@ -152,12 +152,12 @@ def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channel
 def eliminated(
     question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less what the things take up.
+    """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less the part that the things take up.
 
     Args:
         question: K coefficients.
         theta: Their values.
-        weight: Of each row, shape (N,): what things take up is found with these.
+        weight: Of each row, shape (N,): the things are solved for with these.
         sigma: Noise of each channel, shape (C,).
     """
     question, things = _with_things(question, theta, weight, sigma)
@@ -185,7 +185,7 @@ def _without_things(
 
 
 def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
-    """What takes the unknowns of things off columns of all rows; None where there are none. See :func:`eliminated`."""
+    """The projector that takes the unknowns of things off columns of all rows; None without unknown things."""
     question, things = _with_things(question, theta, weight, sigma)
     if things is None:
         return None
@@ -203,7 +203,7 @@ def triangle(
         theta: Their values, shape (K,).
         weight: Of each row, shape (N,).
         sigma: Noise of each channel, shape (C,).
-        of: Numbers of k coefficients whose columns are asked about, all else held.
+        of: Numbers of the k coefficients whose columns count, all others held.
     """
     question, things = _with_things(question, theta, weight, sigma)
     per_number, beforehand = spread(1.0 / sigma, question.channels), question.beforehand()
@@ -227,9 +227,9 @@ def triangle(
 def _by_limb(
     question: Problem, block: slice, J: np.ndarray, many: float = np.inf
 ) -> Iterator[tuple[slice | np.ndarray, np.ndarray, np.ndarray]]:
-    """Rows of a stretch that take the same path, the columns of J that may move them, and these of J, (n, m, k).
+    """Rows of a stretch path by path, the numbers of the columns of J that may move them, and these columns, (n, m, k).
 
-    Other limbs move none of them; where there is one path only, of more columns than so many those that are zero are left out.
+    Other limbs move none of these rows. Where all take one path, columns of zeros are left out if J has more than ``many``.
     """
     limbs = question.limbs(block)
     for rows in limbs:
@@ -240,7 +240,7 @@ def _by_limb(
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
-    """The same with the things found anew where the coefficients are theta.
+    """The problem with its things solved for anew at the coefficients theta.
 
     Args:
         question: N rows.

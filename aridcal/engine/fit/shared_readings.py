@@ -45,7 +45,7 @@ def standstills(rows: Dataset) -> np.ndarray:
 
 
 def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Number of the clump of each row, shape (N,): groups of unknown things that some standstill joins; -1 where there are none.
+    """Number of the clump of each row, shape (N,): groups of unknown things that standstills join; -1 for rows of no group.
 
     Args:
         standstill: Of each row, shape (N,).
@@ -66,13 +66,13 @@ def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
 
 
 def representative(every: Problem, among: np.ndarray, most: int) -> np.ndarray:
-    """Numbers of the rows that are asked about: all, or of many a reproducible choice of whole standstills, or of whole groups.
+    """Row numbers: all, or of many rows a reproducible choice of whole standstills, or of whole groups.
 
-    Of things that are joined to more others than can be carried as columns, those are asked about that most rows refer to.
+    Where more things are joined than can be carried as columns, those that most rows refer to are chosen.
 
     Args:
-        every: A question about N rows.
-        among: Numbers of those that may be chosen.
+        every: A problem of N rows.
+        among: Numbers of the rows that may be chosen.
         most: Rows at the most.
     """
     if every.data.direct:
@@ -81,7 +81,7 @@ def representative(every: Problem, among: np.ndarray, most: int) -> np.ndarray:
 
 
 def _of_things(question: Problem, most: int) -> np.ndarray:
-    """The same of rows with things between, all of which may be chosen."""
+    """Row numbers as of :func:`representative`, for rows that refer to things; all rows may be chosen."""
     data, rng, group = question.data, np.random.default_rng(0), question.group_of(slice(None))
     number = standstills(data)
     candidates = np.arange(len(data))
@@ -100,7 +100,7 @@ def _of_things(question: Problem, most: int) -> np.ndarray:
 
 
 def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Rows of no group, and of the groups of each clump with the most rows until these have :data:`COLUMNS` unknowns, (N,) bool.
+    """Rows of no group, and of each clump's groups, those with most rows first, up to :data:`COLUMNS` unknowns, (N,) bool.
 
     Args:
         clump: Of each row, shape (N,).
@@ -117,7 +117,7 @@ def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.nd
 
 
 def _sum_before(label: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Sum of the sizes (n,) that come before each among those of its label (n,), counted from -1 or 0."""
+    """Sum of the sizes (n,) before each entry among the entries of its label (n,); labels count from -1 or 0."""
     order = np.argsort(label, kind="stable")
     total = np.cumsum(size[order]) - size[order]
     starts = np.diff(label[order], prepend=-2) > 0
@@ -128,13 +128,13 @@ def _sum_before(label: np.ndarray, size: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Stack:
-    """Where the numbers of n rows of m stand among those of S standstills, M of each at the most.
+    """Where the m numbers of each of n rows are in the vectors of S standstills.
 
     Attributes:
-        number: Of each row's standstill, shape (n,).
-        place: Of each number in it, shape (n, m); -1 for what a row does not measure.
-        count: Of standstills, S.
-        width: M.
+        number: Number of each row's standstill, shape (n,).
+        place: Place of each number in its standstill's vector, shape (n, m); -1 where a row does not measure it.
+        count: Number of standstills, S.
+        width: Length of the longest vector, M.
     """
 
     number: np.ndarray
@@ -149,7 +149,7 @@ class Stack:
         return in_order and bool(np.all(self.place == np.arange(self.width)))
 
     def vectors(self, values: np.ndarray) -> np.ndarray:
-        """Numbers or columns of rows, shape (n, m, ...), as those of standstills, shape (S, M, ...); 0 beyond what these have."""
+        """Numbers or columns of rows, shape (n, m, ...), as vectors of standstills, shape (S, M, ...), filled up with 0."""
         if self.apart:
             return values
         stacked = np.zeros((self.count, self.width, *values.shape[2:]))
@@ -167,7 +167,7 @@ class Stack:
         return stacked
 
     def of_rows(self, values: np.ndarray) -> np.ndarray:
-        """What standstills have, shape (S, M), as of rows, shape (n, m); 0 for what a row does not measure."""
+        """Vectors of standstills, shape (S, M), as numbers of rows, shape (n, m); 0 where a row does not measure one."""
         return np.where(self.place >= 0, values[self.number[:, None], self.place], 0.0)
 
     def blocks_of_rows(self, values: np.ndarray) -> np.ndarray:
@@ -191,7 +191,7 @@ def stack(standstill: np.ndarray, there: np.ndarray) -> Stack:
 
 
 def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) -> Scatter:
-    """The same with columns of what is unknown of the rows' groups, and what is known of these beforehand as rows behind.
+    """The scatter with columns of the unknowns of the rows' groups, and prior knowledge of these as rows behind.
 
     Args:
         scatter: Of the standstills of a problem's rows.

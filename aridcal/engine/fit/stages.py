@@ -57,7 +57,7 @@ class Geometry:
         nominal: Frames alone.
         geometric: With the constants; the same as ``nominal`` where nothing predicts held-back rows better than that.
         kept: Why the constants stay nominal, in words; empty if they do not.
-        free: Share of the numbers measured that the model which was not kept leaves.
+        free: Share of the numbers measured that are left after fitting the constants which were given up.
     """
 
     nominal: Fit
@@ -76,7 +76,7 @@ def fit_geometry(
         robot: The nominal chain.
         train: Rows to fit.
         labels: All stations, where a frame is per station.
-        progress: Told how far each pass over the rows is.
+        progress: Called with the rows done in each pass over them.
 
     Raises:
         NotIdentifiable: nothing can be identified from these rows.
@@ -110,7 +110,7 @@ def _lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple
 def _start(
     question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
-    """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
+    """The nominal robot with starts of its frames and of the things that its measurements refer to."""
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
     predictions = measured(bare, train)
     world, tip = question.world_base, question.tip_target
@@ -142,7 +142,7 @@ def _start(
 
 
 def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
-    """How far the rows are from the nominal robot whose frames are placed in closed form: quick, and nearly the fit's.
+    """Residuals of the nominal robot with frames from closed forms, as a robust sigma: quick, and nearly the fit's.
 
     Returns:
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
@@ -153,7 +153,7 @@ def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
-    """The geometric model with the things where effects of the final one have them always; None if it has no such effects."""
+    """The geometric model with things moved by the constant effects on them of the final one; None if it has no such effects."""
     model, instruments = geometric.model, final.model.instruments
     at_things = np.flatnonzero(final.model.at_things).tolist()
     moving = [k for k in at_things if final.model.coefficients[k].basis.form == "ones"]
@@ -177,16 +177,16 @@ def recentred(fit: Fit) -> Fit:
 
 
 def _refuse_strangers(question: Problem, model: Model, theta: np.ndarray, residual: np.ndarray) -> None:
-    """Refuse measurements that cannot be of this robot: a result would look like one and be none.
+    """Refuse measurements that cannot be of this robot: any result would be meaningless.
 
     Args:
         question: N rows.
         model: The geometry.
         theta: Its coefficients.
-        residual: What it leaves of the rows, shape (N, m), [m] and [rad].
+        residual: Measured minus predicted, shape (N, m), [m] and [rad].
 
     Raises:
-        NotOfThisRobot: naming what to check.
+        NotOfThisRobot: residuals are too large; it says what to check.
     """
     train = question.data
     places = np.where(np.isnan(train.position), model.poses(theta, question.rows)[1], train.position)
@@ -214,7 +214,7 @@ def _refuse_strangers(question: Problem, model: Model, theta: np.ndarray, residu
 
 
 def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
-    """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
+    """Number of the frame that each row belongs to, shape (N,); 0 for rows without a station, whose path has no such frame."""
     if not frame.by_station:
         return np.zeros(len(train), dtype=int)
     if train.labels.station is None or not labels:

@@ -1,4 +1,4 @@
-"""Where frames and things begin, for rows of any kind: block after block, each knowing what those before it have found."""
+"""Where frames and things begin, for rows of any kind: block after block, each using the places from those before it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Beginning:
     Attributes:
         world_base: One frame for all rows, or for each station.
         tip_target: T_tip_target of each target, by its number.
-        states: Of all things, (L, P) by role; NaN where nothing is known.
+        states: Of the L things of each role, shape (L, P) by role; NaN where a place is not known.
     """
 
     world_base: tuple[pin.SE3, ...]
@@ -44,7 +44,7 @@ class Beginning:
 
 @dataclass(frozen=True)
 class NominalRows:
-    """Rows as the nominal arm has them, and what is known of their frames.
+    """Rows with the nominal arm's poses, and the known frames.
 
     Attributes:
         data: N rows.
@@ -52,10 +52,10 @@ class NominalRows:
         R: Nominal T_base_tip, shape (N, 3, 3); of rows whose things a link carries, T_link_tip.
         p: Its translation, shape (N, 3), [m].
         tip: Number of each row's target, shape (N,).
-        hints: T_tip_target of each target where nothing tells it.
+        hints: T_tip_target of each target where no row determines it.
         known_targets: T_tip_target of the targets that are known.
         station: Number of each row's T_world_base, shape (N,); only rows that measure the target may have several.
-        world: T_world_base where it is known.
+        world: T_world_base; None where it is not known.
     """
 
     data: Dataset
@@ -146,10 +146,10 @@ def beginning(rows: NominalRows) -> Beginning:
 def _with_missing_states(
     data: Dataset, predictions: Measured, states: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """States with things that their few rows cannot tell put among the others: what they cannot tell, they cannot spoil.
+    """States with things that their rows cannot place put at the median of the others: these rows do not notice.
 
     Raises:
-        MeasurementError: most things of a role are such; naming the first.
+        MeasurementError: most things of a role cannot be placed; it names the first of them.
     """
     states_of_roles = dict(states)
     for b, block in enumerate(predictions.blocks):
@@ -171,7 +171,7 @@ def _with_missing_states(
 
 
 def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
-    """The base turned the shortest way so that the rows of a sensor see gravity downwards."""
+    """T_world_base, turned the shortest way so that the rows of an inclination sensor read gravity downwards."""
     R, read, number = rows.R[some], rows.predictions.observed[some, :3], int(rows.tip[some[0]])
     read = read / np.linalg.norm(read, axis=1, keepdims=True)
     target, target_known = rows.known_targets.get(number, rows.hints[number]).homogeneous, number in rows.known_targets
@@ -188,7 +188,7 @@ def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
 
 
 def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning:
-    """Bases and targets from rows that measure these themselves."""
+    """Bases and targets from rows that measure poses or positions of targets."""
     numbers, tip = np.unique(rows.tip[some], return_inverse=True)
     M = None if rows.data.rotation is None else rows.data.rotation[some]
     if M is not None and np.isnan(M).any():
@@ -206,7 +206,7 @@ def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning
 
 
 def _things(kind: Kind, predictions: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
-    """Things of a kind's roles where they are; those that have a place by now count as known."""
+    """Things of a kind's roles at their states; things that have a place by now count as known."""
     things_of_roles = {}
     for role in kind.roles:
         things = predictions.instruments.things[role.name]
@@ -216,7 +216,7 @@ def _things(kind: Kind, predictions: Measured, states: Mapping[str, np.ndarray])
 
 
 def _with_unknown_places(things: Things) -> Things:
-    """The same things with nothing known of where they are, for rows in another frame than the world's."""
+    """The things with all places unknown, for rows in another frame than the world's."""
     if not things.role.many:
         return things
     free = np.tile([name in things.role.identified for name in things.role.components], (len(things), 1))
@@ -224,7 +224,7 @@ def _with_unknown_places(things: Things) -> Things:
 
 
 def _base_from_things(kind: Kind, start: Place, predictions: Measured) -> pin.SE3 | None:
-    """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
+    """T_world_base from things placed in the base frame by a start and in the world's by the campaign; None if too few."""
     for role in kind.roles:
         things = predictions.instruments.things[role.name]
         exact = ~things.free.any(axis=1) | np.isfinite(things.std).any(axis=1)
@@ -236,7 +236,7 @@ def _base_from_things(kind: Kind, start: Place, predictions: Measured) -> pin.SE
 
 
 def _enough_rows(rows: np.ndarray, predictions: Measured, kind: Kind) -> np.ndarray:
-    """Enough rows of a block, of each thing its share."""
+    """Row numbers of a choice from a block, each thing with its share."""
     if len(rows) <= MOST_ROWS or not kind.roles:
         return rows[:: max(1, len(rows) // MOST_ROWS)]
     label = predictions.refers[rows, len(kind.roles) - 1]

@@ -1,4 +1,4 @@
-r"""Variance components by restricted maximum likelihood: of what causes the scatter of residuals is made, and how large each is.
+r"""Variance components by restricted maximum likelihood: how large each cause of the residuals' scatter is.
 
 The residuals y of N rows of m numbers have columns A whose coefficients have a normal prior (precision :math:`\Lambda`,
 often zero), and rows that err independently of one another. (Where rows of a table err together they are one row here.)
@@ -75,15 +75,15 @@ class Components:
     """Variances at the maximum of the restricted likelihood.
 
     Attributes:
-        free: Those in the model, shape (C,) bool.
-        variance: Of each component, shape (C,), not negative; 0 for those that are not in the model.
-        covariance: Of those estimates, shape (C, C); 0 for those that are not in the model, or vanished.
+        free: Components in the model, shape (C,) bool.
+        variance: Of each component, shape (C,), not negative; 0 for components that are not in the model.
+        covariance: Of these estimates, shape (C, C); 0 for components that are not in the model, or vanished.
         log_likelihood: Restricted, but for a constant.
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
-        low: Below which no variance falls, shape (C,): by what the channels began with, however often they are settled anew.
-        at: Variances of which pull, kernel and covariance are, shape (C,): one short step from those of the maximum.
-        left: [nat] that the log-likelihood is out by at the most.
+        low: Below which variances do not fall, shape (C,): a share of the channels' first estimates.
+        at: Variances at which pull, kernel and covariance were computed, shape (C,): one short step from the maximum.
+        left: Bound on the error of the log-likelihood, [nat].
     """
 
     free: np.ndarray
@@ -122,12 +122,12 @@ def std_of_sigma(variance: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> Components:
-    """Maximise the restricted likelihood with the components alone that any residual has: the channels.
+    """Maximise the restricted likelihood with the channels alone, which every residual has.
 
     Args:
         scatter: Residuals and components.
-        channels: Variances of the channels to begin with, positive, as many as ``is_channel``.
-        is_channel: Which components those are, shape (C,) bool; their variances may not vanish.
+        channels: Variances of the channels to begin with, positive, one for each in ``is_channel``.
+        is_channel: Which components are channels, shape (C,) bool; their variances may not vanish.
     """
     start = np.zeros(len(is_channel))
     start[is_channel] = channels
@@ -135,7 +135,7 @@ def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> 
 
 
 def settled(scatter: Scatter, maximum: Components) -> Components:
-    """The maximum with the same components to :data:`SETTLED`, from that to :data:`ROUGH`."""
+    """A maximum known to :data:`ROUGH`, refined to :data:`SETTLED` with the same components."""
     if maximum.left < SETTLED:
         return maximum
     return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
@@ -144,13 +144,13 @@ def settled(scatter: Scatter, maximum: Components) -> Components:
 def one_more(
     scatter: Scatter, maximum: Components, is_channel: np.ndarray, price: np.ndarray | float = 0.0
 ) -> tuple[int, Components] | None:
-    """The component that is asked for most, and the maximum with it; None if chance may ask for as much.
+    """The component with the largest score, and the maximum with it; None if chance explains that score.
 
     Args:
         scatter: Residuals and components.
         maximum: The maximum without it.
-        is_channel: Channels, shape (C,) bool: what is asked for is one of the others.
-        price: What each component must gain for numbers of its own that were taken from the residuals, shape (C,), [nat].
+        is_channel: Which components are channels, shape (C,) bool: all others are candidates.
+        price: Gain that pays for the numbers of a component that were fitted to the residuals, shape (C,), [nat].
     """
     demand = asked_for(scatter, maximum, price)
     if not demand.clear:
@@ -158,7 +158,7 @@ def one_more(
         demand = asked_for(scatter, maximum, price)
     cost = np.broadcast_to(price, is_channel.shape)
     cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, demand.normal)))
-    # What costs something does not stand in the way of what costs nothing.
+    # A component that has a price does not stand in the way of one that has none.
     for k in dict.fromkeys((demand.first, cheapest)):
         if demand.normal[k] > 0.0 and demand.plain[k] >= PLAIN:
             more = with_one(scatter, maximum, k, float(demand.variance[k]))
@@ -168,7 +168,7 @@ def one_more(
 
 
 def with_one(scatter: Scatter, maximum: Components, k: int, variance: float) -> Components:
-    """The maximum with one more component, which begins at a variance."""
+    """The maximum with one more component k, which begins at a variance."""
     start, free = maximum.variance.copy(), maximum.free.copy()
     start[k], free[k] = variance, True
     return _with_others(scatter, maximum, start, free)
@@ -180,7 +180,7 @@ def without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Component
 
 
 def roughly_without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
-    """The same as :func:`without`, the columns' fit held: the likelihood there is a bound from below, and costs little."""
+    """A cheap :func:`without`, the columns' fit held: its likelihood is a bound from below."""
     V, free = covariances(scatter, maximum.at), maximum.free & ~out
     bound = _bound(scatter, maximum.at, maximum)
     variances = bound.best(np.where(out, 0.0, maximum.variance), free, maximum.low)
@@ -195,11 +195,11 @@ def roughly_without(scatter: Scatter, maximum: Components, out: np.ndarray) -> C
 
 
 def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarray) -> float:
-    """The bound about a maximum at its highest, where blocks are others; but for a constant.
+    """The highest value of the bound about a maximum when a component has other blocks; up to a constant.
 
     Args:
-        other: With the components in the model alone, one of them another.
-        scatter: Of which the maximum is.
+        other: Residuals and the components in the model alone, one of them with other blocks.
+        scatter: Residuals and components of the maximum.
         maximum: The maximum.
         of: Numbers of the components in the model, ascending.
     """
@@ -208,18 +208,18 @@ def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarra
 
 
 def needed(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
-    """True if chance does not give as much as further components do, whose shapes cost ``price`` [nat]."""
+    """True if chance does not explain the gain of ``more`` components, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
     return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < CHANCE
 
 
 def promised(scatter: Scatter, maximum: Components, of: Sequence[np.ndarray], start: np.ndarray) -> np.ndarray:
-    """What sets of further components gain at the least, shape (sets,), [nat], by the bound about a maximum.
+    """Least gain of sets of further components, shape (sets,), [nat], by the bound about a maximum.
 
     Args:
         scatter: Residuals and components.
         maximum: The maximum without them.
-        of: Which, shape (C,) bool each.
+        of: The sets, shape (C,) bool each.
         start: Variances that further components begin at, shape (C,).
     """
     bound = _bound(scatter, maximum.at, maximum)
@@ -233,8 +233,8 @@ def instead(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) 
     Args:
         scatter: Residuals and components.
         maximum: The maximum with the several.
-        several: Which may go, shape (C,) bool.
-        k: What may come.
+        several: Components that may go, shape (C,) bool.
+        k: Component that may come.
     """
     start, free = np.where(several, 0.0, maximum.variance), maximum.free & ~several
     start[k], free[k] = maximum.variance[several & maximum.free].mean(), True
@@ -243,7 +243,7 @@ def instead(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) 
 
 
 def _with_others(scatter: Scatter, maximum: Components, start: np.ndarray, free: np.ndarray) -> Components:
-    """The maximum with other components; the bound about the one that is there says where to look first."""
+    """The maximum with other components in the model, begun where the bound about the present maximum is highest."""
     if (maximum.free != free).any():
         start = _bound(scatter, maximum.at, maximum).best(start, free, maximum.low)
     return _maximum(scatter, start, free, maximum.low)
@@ -258,7 +258,7 @@ def _maximum(
 
     Args:
         scatter: Residuals and components.
-        theta: Variances to begin with, shape (C,); 0 for those that are not in the model.
+        theta: Variances to begin with, shape (C,); 0 for components that are not in the model.
         free: Components in the model, shape (C,) bool.
         low: Below which variances do not fall, shape (C,).
         enough: [nat] that the likelihood may be out by.
@@ -297,7 +297,7 @@ def _higher(
     free: np.ndarray,
     low: np.ndarray,
 ) -> tuple[np.ndarray, Place] | None:
-    """Variances, and the place there, that are likelier than those of a place; None if the step's direction has none."""
+    """Likelier variances, and the likelihood there; None if the step's direction has none."""
     if promised > FAR:
         variances = _bound(scatter, theta, here).best(theta, free, low)
         there = place(scatter, variances)
@@ -313,7 +313,7 @@ def _higher(
 
 
 def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
-    """The bound about a place, of variances ``at``, shape (C,)."""
+    """The bound about a likelihood at variances ``at``, shape (C,)."""
     return Bound(scatter.blocks, scatter.stated, moments(covariances(scatter, at), here.pull, here.kernel))
 
 
@@ -326,7 +326,7 @@ def boundary_chance(twice: float) -> float:
 
 
 def contributions(scatter: Scatter, maximum: Components) -> np.ndarray:
-    """What each row adds to the derivative by each component's variance, shape (C, N)."""
+    """Contribution of each row to the derivative by each component's variance, shape (C, N)."""
     # u' B u - tr(P B) = tr((u u' - P) B).
     weight = maximum.pull[:, :, None] * maximum.pull[:, None, :] - maximum.kernel
     n = len(weight)
@@ -336,12 +336,13 @@ def contributions(scatter: Scatter, maximum: Components) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Asked:
-    """How much each component that is not in the model is asked for; 0 for those in the model, and those it can imitate.
+    """Score tests of the components that are not in the model; 0 for those in it, and those that it can imitate.
 
     Attributes:
-        normal: Standard deviations of chance if noise is normal, shape (C,). What costs something is charged, down to 0.
-        plain: The same from the rows' own contributions (White 1982): a few wild rows, or long tails, do not raise it.
-        variance: That a first step would give it, shape (C,).
+        normal: Score in standard deviations of normal noise, shape (C,), less the component's price, not below 0.
+        plain: Score in standard deviations of the rows' own contributions, shape (C,) (White 1982): a few wild rows, or long
+            tails, do not raise it.
+        variance: Variance after a first step, shape (C,).
     """
 
     normal: np.ndarray
@@ -350,12 +351,12 @@ class Asked:
 
     @property
     def first(self) -> int:
-        """What is asked for most."""
+        """Component with the largest score."""
         return int(np.argmax(self.normal))
 
     @property
     def clear(self) -> bool:
-        """True if what is asked for most is so by the rows' own contributions, or is not, by :data:`CLEAR`."""
+        """True if the plain score of that component is clearly above or below :data:`PLAIN`, by :data:`CLEAR`."""
         return not CLEAR < self.plain[self.first] / PLAIN < 1.0 / CLEAR
 
 
