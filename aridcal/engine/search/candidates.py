@@ -1,4 +1,4 @@
-"""What the residual hints at, before anything is tested: harmonics of any order, narrow bumps, dents in space, pairs."""
+"""Candidates that the residual hints at: harmonics of any order, narrow bumps, dents in space, functions of two covariates."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ LOUDEST = 12
 
 
 def hinted(state: State, kinds: Collection[str]) -> list[Effect]:
-    """Candidates of some kinds that are not always tried, but that the residual hints at."""
+    """Candidates of some kinds that are tried only where the residual hints at them."""
     sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
     return [effect for kind, source in sources.items() if kind in kinds for effect in source(state)]
 
@@ -131,7 +131,7 @@ def narrow_maps(state: State) -> list[Effect]:
 
 
 def dents(state: State) -> list[Effect]:
-    r"""Places around which targets are off that the residual hints at: a ball moved through all places, one of several sizes.
+    r"""Places around which the residual hints that targets are off: balls of several sizes, tried at all places.
 
     With p and w as in :func:`harmonics`, here for a shift of the target, and :math:`\varphi` the function about a place,
 
@@ -169,7 +169,7 @@ def dents(state: State) -> list[Effect]:
 
 
 def _clipped(state: State) -> np.ndarray:
-    """Residuals, shape (N, m): flagged rows may be what is to be explained; they count by as much as a row nearly flagged."""
+    """Residuals, shape (N, m), those of flagged rows cut to the limit of flags: they may be what an effect explains."""
     far = distance(state.residual, state.solution.sigma, state.channels)
     return np.asarray(state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None])
 
@@ -177,7 +177,7 @@ def _clipped(state: State) -> np.ndarray:
 def _turns_of_joint(
     state: State, joint: str, residual: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A joint's readings in some rows, and the turn that each row's residual asks for: pull and weight, shape (n,).
+    """A joint's readings in some rows, and the turn that explains each row's residual, as pull and weight, shape (n,) each.
 
     The mean of the turns is taken off: it belongs to the constants.
     """
@@ -231,7 +231,7 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
 def pairs(
     state: State, covariates: Sequence[str], robot: Robot, progress: Progress = SILENT
 ) -> tuple[list[tuple[str, str, tuple[str, str]]], int]:
-    """Where and of which two covariates a smooth function would explain most, and how many were looked at.
+    """Slots and pairs of covariates at which a smooth function would explain most, and the number of all such places.
 
     The residual is pulled back to each slot as the motion that would explain it row by row, and that is projected on
     products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
@@ -242,7 +242,7 @@ def pairs(
     weight = np.einsum("nms,nms->ns", G, G)
     pull = np.einsum("nms,nm->ns", G, state.residual[in_use] / state.sigma) / np.sqrt(np.maximum(weight, TINY))
     pull[:, weight.sum(0) <= 0.0] = 0.0
-    pull = np.ascontiguousarray(pull.T)  # slot by slot, for slots are what is picked
+    pull = np.ascontiguousarray(pull.T)  # slot by slot, as slots are picked from it
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
     places = []
     waves = {of: np.polynomial.legendre.legvander(_scaled_to_one(model.table[of][in_use]), DEGREE) for of in covariates}
@@ -259,6 +259,6 @@ def pairs(
 
 
 def _scaled_to_one(values: np.ndarray) -> np.ndarray:
-    """A covariate brought to -1 to 1."""
+    """A covariate scaled to -1 to 1."""
     low, high = float(values.min()), float(values.max())
     return (2.0 * values - low - high) / max(high - low, TINY)

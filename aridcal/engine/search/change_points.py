@@ -1,4 +1,4 @@
-r"""When something moved once: the best row for a step at each place, and whether it is a step or a slow walk.
+r"""Steps, when something moved once: the best row for a step of each motion, and whether it is a step or a slow walk.
 
 A step between two rows is a column that is the motion's own up to there and nothing after. For every row k at once, with
 :math:`G_n` the motion's columns in row n and :math:`A_n` the model's, both in sigmas, the sums
@@ -54,7 +54,7 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values: Of the rows in use, shape (n,).
 
     Returns:
-        How many rows come before each, shape (k,), and the values themselves, shape (k,).
+        Number of rows before each step, shape (k,), and the covariate there, shape (k,).
     """
     ordered = np.sort(values)
     before = np.arange(SIDE, len(ordered) - SIDE + 1)
@@ -63,9 +63,9 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Which steps, by the rows before each, some group of things has enough rows on both sides of, shape (k,) bool.
+    """Which steps have enough rows of some one group of things on both sides, shape (k,) bool; steps by the rows before each.
 
-    A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
+    A step between the rows of two places is confounded with these places, each of which has an unknown of its own.
     ``values`` of the covariate and ``group`` are of the rows in use, shape (n,).
     """
     ordered = group[np.argsort(values, kind="stable")]
@@ -75,23 +75,23 @@ def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -
 def _between_its_rows(
     model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
 ) -> np.ndarray:
-    """Which steps, by the rows before each, have enough rows on both sides that see what moves, shape (k,) bool.
+    """Which steps have enough rows on both sides that the slots move, shape (k,) bool; steps by the rows before each.
 
-    Of those between two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
+    Of steps between the same two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
     """
     sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
     return np.asarray(sees[before] & _on_both_sides(sees, before))
 
 
 def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Whether enough of the members among ordered rows, (n, ...) bool, are on either side of steps, shape (k, ...)."""
+    """Whether enough members among the ordered rows, (n, ...) bool, are on either side of each step, shape (k, ...)."""
     passed = np.cumsum(members, axis=0)
     there = passed[before - 1]
     return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
 
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
-    """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
+    """Templates with their step at the row where it explains most; those without a possible row are left out."""
     return state.once(("steps", *templates), lambda: _best_steps(model, state, templates))
 
 
@@ -127,7 +127,7 @@ Group = tuple[Sequence[int], np.ndarray]
 
 
 def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
-    """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
+    """Index of the best step of each group, tried one by one, as unknown things take up a part of each.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
     """
@@ -158,7 +158,7 @@ class _Scan:
         G: Columns of the slots over the variance, zero in rows that are not in use, shape (N, m, S).
         squares: (C'C) up to each row in use, shape (n + 1, S, S).
         pulls: s up to each, shape (n + 1, S).
-        members: Columns of what is in the design, shape (N, m, d) each.
+        members: Columns of the design's members, shape (N, m, d) each.
         row: Place of each row in use, shape (n,).
     """
 
@@ -172,7 +172,7 @@ class _Scan:
 
     @classmethod
     def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
-        """The sums for some groups of slots, rows in the order of a covariate."""
+        """The sums for some groups of slots, rows in the order of the covariate ``of``."""
         model = state.model
         moving = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
         order = np.argsort(model.table[of], kind="stable")
@@ -211,12 +211,12 @@ class _Scan:
         return _Nodes(before, shared, self._taken(shared))
 
     def _explained(self, columns: Sequence[int], before: np.ndarray, products: np.ndarray) -> np.ndarray:
-        """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
+        """Squares that steps of some columns explain, shape (k,); the model takes up the part ``products``, (k, d, d)."""
         squares = self.squares[before][:, columns][:, :, columns]
         return explained(squares - products, self.pulls[before][:, columns], np.einsum("kss->ks", squares))[0]
 
     def _taken(self, shared: np.ndarray) -> np.ndarray:
-        """What the model takes up of products of columns, shape (k, d, d), from those with the members' columns, (k, d, W)."""
+        """Part of the products of columns that the model takes up, (k, d, d), from those with the members' columns, (k, d, W)."""
         ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
         shared = self.state.in_modes(np.split(shared, ends, axis=2))
         inverse = self.state.solution.inverse
@@ -225,7 +225,7 @@ class _Scan:
         )
 
     def _shared(self, columns: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
-        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W), summed from the nodes on."""
+        """C'A over the rows before each step, ascending, of some columns and the members', (k, d, W), summed from nodes on."""
         G = self.G[:, :, columns]
         end, total = 0, np.zeros((len(columns), sum(member.shape[2] for member in self.members)))
         sums = np.empty((len(before), *total.shape))
@@ -242,12 +242,12 @@ class _Scan:
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Steps for which it is known what the model takes up of them.
+    """Steps at which the part that the model takes up is computed.
 
     Attributes:
         before: Rows before each, ascending, shape (k,).
         shared: C'A, shape (k, S, W).
-        taken: What the model takes up of the products of their columns, shape (k, S, S).
+        taken: Part of the products of their columns that the model takes up, shape (k, S, S).
     """
 
     before: np.ndarray
@@ -259,7 +259,7 @@ class _Nodes:
         return int(np.searchsorted(self.before, count, side="right")) - 1
 
     def between(self, before: np.ndarray, columns: Sequence[int]) -> np.ndarray:
-        """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
+        """Part of the products of some columns that the model takes up at steps, linear between nodes, shape (k, d, d)."""
         products = self.taken[:, columns][:, :, columns]
         if len(self.before) == 1:
             return np.repeat(products, len(before), axis=0)
@@ -270,7 +270,7 @@ class _Nodes:
 
 
 def _evenly(before: np.ndarray, most: int) -> np.ndarray:
-    """At the most so many of some steps, evenly, from the first to the last."""
+    """``most`` of some steps, evenly from the first to the last; all if they are fewer."""
     return before[np.unique(np.linspace(0, len(before) - 1, min(most, len(before))).round().astype(int))]
 
 
@@ -283,8 +283,8 @@ def _best(
 
     Args:
         before: Rows before each step, ascending, shape (k,).
-        squares: Squares that some of these explain.
-        promising: Which of the first, ascending, are looked at; all otherwise.
+        squares: Gives the squares that some of the steps explain.
+        promising: Chooses which of the first steps are computed, ascending; None: all.
     """
     rough = _evenly(before, COARSE)
     some = np.arange(len(rough)) if promising is None else promising(rough)
@@ -297,7 +297,7 @@ def _best(
 def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
 
-    What each row asks for along the step's own motion is a series y, with the step in the model. It is explained twice,
+    The motion that explains each row's residual by itself, with the step in the model, is a series y. It is explained twice,
     with and without the step, as a constant and noise of two sorts: white, and an autoregression over the rows
 
     .. math:: x_{t+1} = e^{-1/L} x_t + \eta_t, \qquad L = \infty \text{ for a random walk}

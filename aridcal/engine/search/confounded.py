@@ -1,4 +1,4 @@
-"""Causes that the rows cannot tell from those named: which they are, how likely each is, and what the model would be with it."""
+"""Rivals: causes that the rows cannot tell from the named ones, how likely each is, and the model with it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ is left, which is more than the 3 nats of a tie of all that passes the gates."""
 
 @dataclass(frozen=True)
 class Tied:
-    """One rival of an effect, put in its place.
+    """One rival of an effect, and the model with it in the effect's place.
 
     Attributes:
         effect: The rival.
         instead_of: The effect that is named.
-        weight: How likely it is, of the effect and all its rivals; these sum to 1.
-        change: By how much every coefficient differs from the model's own, all others solved anew: those of the effect are gone.
+        weight: Its probability; those of the effect and all its rivals sum to 1.
+        change: Difference of every coefficient from the model's, all solved anew; the effect's own become zero.
     """
 
     effect: Effect
@@ -51,7 +51,7 @@ class Tied:
 def twins(
     state: State, library: Sequence[Effect], progress: Progress = SILENT
 ) -> tuple[tuple[tuple[Effect, Score], ...], ...]:
-    """Each effect, and the candidates that would do about as well in its place; nothing where none are sought."""
+    """For each effect: itself and the candidates of about as much evidence in its place; empty for effects not compared."""
     small = is_small(state.model, library)
     effects = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
     lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *effects]))
@@ -68,14 +68,14 @@ def _twins(
     rough: Mapping[Effect, Score],
     progress: Progress,
 ) -> tuple[tuple[Effect, Score], ...]:
-    """One of the effects, and candidates that would do about as well in its place.
+    """An effect and the candidates of about as much evidence in its place, with their scores.
 
     Args:
+        state: The model with the effect.
         library: Candidates.
-        state: The model with it.
         named: The effect.
-        rough: Scores of candidates without it.
-        progress: Told how many are scored.
+        rough: Rough scores of candidates without it.
+        progress: Called with the number of candidates scored.
     """
     without = without_effect(state, named.effect)
     rivals = in_place_of(state, library, named.effect)
@@ -94,7 +94,7 @@ def _twins(
 
 
 def mirrored(table: Mapping[str, np.ndarray], effect: Effect) -> list[Effect]:
-    """The same step or slope over each other column that goes with its covariate in these rows, a joint's reading perhaps."""
+    """A step or slope again over each column that correlates with its covariate in these rows, a joint's reading perhaps."""
     first = effect.coefficients[0].basis
     if effect.smooth or first.form not in ("step", "linear") or len({c.basis for c in effect.coefficients}) > 1:
         return []
@@ -105,7 +105,7 @@ def mirrored(table: Mapping[str, np.ndarray], effect: Effect) -> list[Effect]:
         if name in first.of or is_load(name) or is_sight(name) or is_label(name) or np.ptp(column) == 0.0:
             continue
         if name == ROW_ORDER and (first.form == "linear" or "time" in table):
-            continue  # the order of rows to come says nothing, and goes with the time
+            continue  # future rows have no such order, and it correlates with the time
         basis = _basis_over(name, column, values, first.form)
         if abs(np.corrcoef(evaluate(basis, table), values)[0, 1]) > SIMILAR and not np.array_equal(column, reading):
             coefficients = tuple(replace(c, basis=basis) for c in effect.coefficients)
@@ -114,7 +114,7 @@ def mirrored(table: Mapping[str, np.ndarray], effect: Effect) -> list[Effect]:
 
 
 def _basis_over(name: str, column: np.ndarray, values: np.ndarray, form: str) -> Basis:
-    """A slope over a column, or the step in it that goes best with other values (N,)."""
+    """The basis of a slope over a column, or of the step in it that correlates best with other values (N,)."""
     if form == "linear":
         return Basis(form, (name,), (round(float(column.mean()), 9),))
     order = np.argsort(column, kind="stable")
@@ -127,7 +127,7 @@ def _basis_over(name: str, column: np.ndarray, values: np.ndarray, form: str) ->
 
 
 def _kind_over(effect: Effect, name: str, form: str) -> str:
-    """What kind of effect goes with a column."""
+    """Kind of an effect when it is over another column."""
     if name in ("time", ROW_ORDER):
         return "shift" if form == "step" else "drift"
     if name.startswith("temperature"):
@@ -152,7 +152,7 @@ def tied(
     Args:
         state: The model as it is.
         constants: Its K constants.
-        twins: For each effect itself, first, and its rivals; nothing where none were asked for.
+        twins: Each effect, first, and its rivals; empty for effects not compared; see :func:`twins`.
     """
     return tuple(
         rival
@@ -176,7 +176,7 @@ def _rivals(
 
 
 def weights(twins: Sequence[tuple[Effect, Score]]) -> list[float]:
-    """How likely each of some effects is, see :func:`tied`; they sum to 1."""
+    """Probabilities of an effect and its rivals, which sum to 1; see :func:`tied`."""
     gains = np.array([score.gain for _, score in twins])
     causes = [frozenset(effect.covariates) for effect, _ in twins]
     each = np.exp(gains - gains.max())

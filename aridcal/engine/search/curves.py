@@ -1,4 +1,4 @@
-"""Curves of a model shaped anew beside all else that is in it: found one after the other, each hides what the others do."""
+"""Curves of a model shaped anew beside all other effects: shaped before these were there, each took over a part of them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SAME = 0.1
 
 
 def reshaped(state: State, some: Callable[[Active], bool]) -> State:
-    """The model with the shapes of its curves found anew, one after the other, until they stay.
+    """The model with the shapes of its curves estimated anew, one after the other, until they stay.
 
-    A curve that is shaped before others are in the model bends after what they do, and would stay as rough.
+    A curve that is shaped before others are in the model follows their effects too, and would stay as rough.
 
     Args:
         state: A set of effects.
-        some: Which of them.
+        some: Says which of them are shaped anew.
     """
     for _ in range(ROUNDS):
         before = state
@@ -42,5 +42,5 @@ def reshaped(state: State, some: Callable[[Active], bool]) -> State:
 
 
 def _same_shape(one: Active, tau: float, kernel: object) -> bool:
-    """True if another shape of a curve is as good as its own."""
+    """True if another size and kernel are those of a curve, but for :data:`SAME`."""
     return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=SAME))

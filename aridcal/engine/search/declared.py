@@ -1,4 +1,4 @@
-"""Effects that the campaign states: taken without trial, but for those that say themselves how large they are, if at all."""
+"""Effects that the campaign declares: in the model without trial, but for fields and constants by region."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ MOST_DENTS = 6
 def with_declared(
     linear: LinearModel, effects: Sequence[Effect], row_unknown: Sequence[bool], geometric: Fit
 ) -> tuple[State, list[Barred]]:
-    """The model with the declared effects, which need no evidence; a step for which no row was said is sought.
+    """The model with the declared effects, which need no evidence, and those that are left out.
 
-    Those of which the rows tell nothing beside the constants, and the effects taken before, are left out and named, and so are
-    those of their motions of which the rows tell nothing beside the others (:func:`_identifiable`); so are constants by region
-    with which rows held back are predicted no better. Fields without a cause wait for :func:`with_fields`.
+    Left out are effects that the rows do not tell from the constants and the effects before, single motions of which the same
+    is true (:func:`_identifiable`), and constants by region with which held-back rows are predicted no better. A step goes to
+    the best row where ``row_unknown`` says that none was declared. Fields without a cause wait for :func:`with_fields`.
     """
     barred: list[Barred] = []
     state = solve_state(linear, (), geometric.sigma, ~geometric.outliers)
@@ -63,7 +63,10 @@ def with_declared(
 
 
 def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Barred]]:
-    """The model with the declared fields of shifts that are worth it in what all else leaves: they could hide any cause."""
+    """The model with declared fields of shifts that improve it beside all other effects, and the fields that are left out.
+
+    They come last because a field can imitate any cause.
+    """
     fields = [e for e in effects if not KINDS[e.kind].named and KINDS[e.kind].asked]
     if not fields:
         return state, []
@@ -81,7 +84,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Ba
 
 
 def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[Barred]]:
-    """Deviations by region that are worth it, the best first: what one of them hides is seen once that is in the model."""
+    """The model with deviations by region that improve it, the best first, one at a time; and those that are left out."""
     rest = list(waiting)
     while rest:
         trials = [(effect, _as_declared(state, each)) for effect in rest for each in widths(effect)]
@@ -96,13 +99,13 @@ def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[
 
 
 def tied_to_frames(state: State, candidates: Sequence[Effect]) -> list[Barred]:
-    """Of deviations of labels those that the model does without: frames that each label has to itself, for the most part."""
+    """Deviations of labels that imitate the model's own columns: mostly frames that each label has to itself."""
     tied = _confounded_labels(state, candidates)
     return [Barred(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
 
 
 def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
-    """Deviations of labels of which nothing is left beside the model's own columns, whatever is believed of them beforehand."""
+    """Deviations of labels whose columns are sums of the model's own, whatever their prior."""
     of_labels = [e for e in effects if is_of_labels(e)]
     if not of_labels:
         return []
@@ -117,7 +120,7 @@ def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
 
 
 def _predicts_better(state: State, candidate: Active) -> bool:
-    """True if there is evidence, and rows held back are predicted better, in regions held back whole where it speaks of them."""
+    """True if a candidate has evidence and predicts held-back rows better; constants by region in whole regions, too."""
     if candidate.score.gain <= 0.0 or candidate.score.freedom == 0:
         return False
     without, with_it = held_back(state, candidate, state.fold).sum(axis=(1, 2))
@@ -125,10 +128,10 @@ def _predicts_better(state: State, candidate: Active) -> bool:
 
 
 def _identifiable(state: State, effect: Effect) -> Effect:
-    """A declared effect without those coefficients that are sums of the model's columns and of its own before them.
+    """A declared effect without coefficients whose columns are sums of the model's and of its own before them.
 
-    A revolute joint's ``axis`` is one of its bearing's rotations: of both together the rows tell the sum alone. What is
-    believed beforehand of a smooth effect, or of its size, tells its coefficients apart anyhow.
+    A revolute joint's ``axis`` is one of its bearing's rotations: of both together the rows determine the sum alone. A prior
+    of a smooth effect, or of the effect's size, tells its coefficients apart anyhow.
     """
     if effect.smooth or state.model.prior_of(effect):
         return effect
@@ -141,7 +144,7 @@ def _identifiable(state: State, effect: Effect) -> Effect:
 
 
 def _as_declared(state: State, effect: Effect) -> Active:
-    """An effect that the campaign states, with the shape that suits the data if it is smooth."""
+    """A declared effect ready for the model, with the shape that suits the data if it is smooth."""
     return replace(activate(state, effect, score_of(state, effect)), stated=True)
 
 

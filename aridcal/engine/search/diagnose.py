@@ -1,4 +1,4 @@
-"""From residual to effect: what the model lacks, added and refitted, and what is left when nothing more has a name."""
+"""From residual to effect: the search on the linear model, the refit on the exact one, then smooth functions without a cause."""
 
 from __future__ import annotations
 
@@ -90,18 +90,18 @@ Shaped = tuple[Effect, float, Kernel]
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """The final model and how it came about.
+    """The final model and the search that led to it.
 
     Attributes:
         fit: Constants and effects, fitted together on the exact model.
         linearised_at: Where the model was linearised for the last search.
         observed: Covariates of the rows that were searched: some of the training rows, if there are thousands.
         found: The search's result.
-        named: The candidates that have a name.
+        named: The candidates whose kind names a cause.
         barred: Candidates that could not be tested, and why.
-        scattered: True if rows of one place err alike, beside which the effects were found.
+        scattered: True if rows of one place err alike, and the effects were searched beside that scatter.
         confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
-        tied: How likely these are, and what the model is with each.
+        tied: Weights of these candidates, and the model with each.
     """
 
     fit: Fit
@@ -121,19 +121,19 @@ class Diagnosed:
 
     @property
     def declared(self) -> tuple[Effect, ...]:
-        """Effects that the campaign states."""
+        """Effects that the campaign declares."""
         return tuple(a.effect for a in self.found.state.active if a.stated)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What one search works with.
+    """Rows, covariates and candidates of one search.
 
     Attributes:
         start: The geometric stage and the rows.
         observed: Their covariates.
         library: All effects that may come into the model.
-        scatter: What rows of one place may err by alike, beside which effects must show.
+        scatter: Effects by which rows of one place may err alike; all others must show beside them.
     """
 
     start: Start
@@ -143,7 +143,7 @@ class Setting:
 
     @property
     def progress(self) -> Progress:
-        """Called with what is being done."""
+        """Called with the work in hand."""
         return self.start.progress
 
     def linear(self, at: Fit, active: Sequence[Active] = ()) -> LinearModel:
@@ -158,12 +158,12 @@ class Setting:
 
 @dataclass(frozen=True)
 class Step:
-    """How far a search is.
+    """The state of a search between two refits.
 
     Attributes:
-        at: The exact model as it was fitted last, about which the state of what was found is linear.
+        at: The last fit of the exact model, about which the state of ``found`` is linear.
         found: The effects.
-        fitted: Shapes of the effects that it was fitted with.
+        fitted: Shapes of the effects of that fit.
     """
 
     at: Fit
@@ -181,12 +181,13 @@ def diagnose(
     """Find the effects that the geometric model lacks, and fit all together.
 
     Args:
-        question: Which effects are stated, and which kinds may be sought.
+        question: Which effects are declared, and which kinds may be added.
         geometric: The geometric stage.
         train: The rows that it was fitted to.
-        progress: Called with what is being done.
-        before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, and not
-            sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
+        progress: Called with the work in hand.
+        before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, without
+            a new search; where they come from a search beside the scatter of places, which is now in the weights, they are only
+            fitted.
     """
     every = Start(geometric, train, limits(train), progress)
     first = _search_once(question, every, before)
@@ -201,7 +202,7 @@ def diagnose(
     if together is None or together.p_value > TOGETHER:
         return first
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    # What these rows show may be structure: they count whatever they leave.
+    # These rows may show structure: they are not flagged, however large their residuals.
     counting = replace(every, limit=limits(train, together.rows))
     with_flagged = _search_once(question, counting, replace(first, scattered=False))
     flagged = int((with_flagged.fit.outliers & together.rows).sum())
@@ -260,11 +261,11 @@ def _search_once(
     if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
         result = _search_unnamed(setting, unnamed, result, fresh)
-        if fresh and len(result.state.active) > len(state.active):  # what only imitated it is not missed any more
+        if fresh and len(result.state.active) > len(state.active):  # effects that only imitated a curve leave
             result = replace(result, state=search(result.state, named, 0, progress=progress).state)
     scattered = has_scatter(result.state)
     state = without_scatter(result.state)
-    state.model.products.forget()  # of the library no more is asked here
+    state.model.products.forget()  # no candidate is scored any more
     final, bent = step.at, False
     if _shapes(state) != step.fitted:
         progress(_words_of_refit(state))
@@ -289,12 +290,12 @@ def _search_once(
 
 
 def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: Diagnosed) -> float:
-    """Evidence for what was found, with the scatter of places where that is clear beside it, on some rows, [nat]."""
+    """Evidence for the effects of a search on some rows, [nat], the scatter of places with them where it is clear."""
     return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
 def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
-    """The same with what is confounded with each effect: asked of the final model only. Its products are forgotten."""
+    """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
     state = diagnosed.found.state
     rivals = twins(state, diagnosed.named, progress)
     constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
@@ -329,7 +330,7 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: 
         progress(_words_of_refit(state))
         trial = refit(setting.start, state, step.at)
         if not set(before.effects) <= set(state.effects) and worth(trial, state) < worth(step.at, before):
-            # What looks better on the linear model is not so on the exact one: are whole other sets?
+            # A set that is better on the linear model is not on the exact one: whole other sets may be.
             step, no_better = replace(step, found=replace(result, state=before)), True
             if whole or not fresh:
                 return step
@@ -340,7 +341,7 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: 
 
 
 def _fewer_rows(every: Start) -> Start:
-    """Enough rows to search with."""
+    """The start with :data:`SEARCHED` of its rows at the most."""
     geometric, train = every.geometric, every.train
     rows = rows_of_data(geometric.model, train)
     some = thin(rows, SEARCHED)
@@ -351,7 +352,7 @@ def _fewer_rows(every: Start) -> Start:
 
 
 def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
-    """What was found on some of the rows, fitted to all of them."""
+    """Constants and effects from a search on some of the rows, fitted to all rows."""
     if not state.active:
         return every.geometric
     question = problem(current.model, every.train, every.progress)
@@ -360,7 +361,7 @@ def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
 
 
 def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, fresh: bool) -> Found:
-    """Smooth functions of one covariate, and then of two, for what no kind of effect explains."""
+    """Add smooth functions of one covariate, and then of two, to the effects that name a cause."""
     observed, progress, model = setting.observed, setting.progress, named.state.model
     more = search(named.state, unnamed, UNNAMED, exchange=fresh, progress=progress)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
@@ -381,7 +382,7 @@ def _shapes(state: State) -> tuple[Shaped, ...]:
 
 
 def _large_first(setting: Setting, named: Sequence[Effect], state: State) -> tuple[Fit, State]:
-    """Take effects so large that they bend the constants: rivals are compared on the exact model, not the linear one."""
+    """Add effects so large that they bend the constants, rivals being compared on the exact model, not the linear one."""
     at = setting.start.geometric
     for _ in range(MOST_LARGE):
         best = _best_rival(setting.start, named, at, state)
@@ -393,7 +394,7 @@ def _large_first(setting: Setting, named: Sequence[Effect], state: State) -> tup
 
 
 def _best_rival(start: Start, named: Sequence[Effect], at: Fit, state: State) -> tuple[Fit, State] | None:
-    """The large effect that explains most on the exact model, refitted with it; None if there is no large effect."""
+    """The exact model refitted with the large effect that explains most there; None if there is no large effect."""
     ranked = rank(state, named, progress=start.progress)
     top = ranked[0][1].gain if ranked else 0.0
     large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE, RIVAL_SHARE * top)]

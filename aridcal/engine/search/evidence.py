@@ -1,10 +1,10 @@
-r"""How much columns explain beyond what chance would: the evidence for a candidate against a linearised model.
+r"""How much columns explain beyond chance: the evidence for a candidate against a linearised model.
 
 For d plain columns, with the noise profiled out, twice the gain in log-likelihood is
 
 .. math:: x = -n \log(1 - e / l)
 
-with e the sum of squares that they explain, l what is left of the residual, both in sigmas, and n the numbers measured.
+with e the sum of squares that they explain, l that of the residual without them, both in sigmas, and n the numbers measured.
 The evidence charges each column half of :math:`1 + \log x/d`: a normal prior as wide as the data ask for (an
 empirical-Bayes g-prior; George and Foster 2000, doi:10.1093/biomet/87.4.731). A smooth function is a Gaussian process
 sampled at knots: its evidence is the marginal likelihood, maximised over amplitude and correlation length (Rasmussen and
@@ -75,7 +75,7 @@ class Solution:
         sigma: Noise of each channel per axis, shape (C,).
         likelihood: Logarithm, up to a constant.
         inverse: (A'WA + prior)^-1, shape (K, K).
-        spent: Degrees of freedom that the coefficients spend of each channel, shape (C,).
+        spent: Degrees of freedom that the coefficients use up in each channel, shape (C,).
     """
 
     beta: np.ndarray
@@ -87,15 +87,15 @@ class Solution:
 
 @dataclass(frozen=True)
 class Score:
-    """What one candidate would add.
+    """Evidence for one candidate.
 
     Attributes:
-        gain: Logarithm of the evidence in its favour: what it explains less what its freedom costs, [nat].
-        p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
-        freedom: Columns that say something new.
-        tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
-        kernel: For smooth functions: what they are like.
-        sigma: The noise that is left with it in the model, shape (C,); unknown at first.
+        gain: Logarithm of the evidence in its favour, the price of its freedom taken off, [nat].
+        p_value: Chance that noise alone gains as much, before correction for the number of candidates.
+        freedom: Columns that are not sums of the model's.
+        tau: Prior standard deviation of a smooth function, [m] or [rad]; else 0.
+        kernel: Kernel of a smooth function.
+        sigma: Noise of each channel with the candidate in the model, shape (C,); None in a rough score.
     """
 
     gain: float
@@ -112,7 +112,7 @@ class Amplitudes(NamedTuple):
     Attributes:
         variance: Of the prior, tau^2, shape (n,).
         twice: Logarithm of the likelihood ratio to nothing, times two, shape (n,).
-        freedom: Degrees of freedom that the samples spend then, shape (n,).
+        freedom: Degrees of freedom that the samples use up then, shape (n,).
         seen: False where the data say nothing of the samples, shape (n,).
     """
 
@@ -154,14 +154,14 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
 def with_noise(
     equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, beta: np.ndarray, spent: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known.
+    """Noise, shape (C,), and log-likelihood, for known degrees of freedom of the coefficients.
 
     Args:
         equations: Of K coefficients.
         precision: Of their priors, shape (K, K).
         sigma: Noise to begin with, shape (C,).
         beta: The coefficients for that noise, shape (K,).
-        spent: Degrees of freedom that they spend of each channel, shape (C,).
+        spent: Degrees of freedom that they use up in each channel, shape (C,).
     """
     for k in range(NOISE_ROUNDS):
         beta = coefficients(equations, precision, sigma) if k else beta
@@ -173,7 +173,7 @@ def with_noise(
 
 
 def noise_left(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
-    """Noise of each channel, shape (C,), from the squares that are left and the degrees of freedom that were spent."""
+    """Noise of each channel, shape (C,), from the residual's squares and the degrees of freedom that were used up."""
     freedom = np.maximum(equations.count - spent, LEAST_FREEDOM * equations.count + 1e-9)
     return np.maximum(np.sqrt(squares / freedom), FLOOR)
 
@@ -197,7 +197,7 @@ def scores(
         raw: Their squared lengths before projection, shape (k, d).
         total: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
-        shape: For samples of smooth functions: of what; else None.
+        shape: What the columns sample, for smooth functions; else None.
     """
     return _smooth(M, s, raw, shape, ROUGH, total, count) if shape else _plain(M, s, raw, total, count)
 
@@ -207,8 +207,8 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
     Args:
         total: Equations of the model's coefficients and, after them, of the samples of the function.
-        precision: Prior of the model's own coefficients.
-        shape: What those are samples of.
+        precision: Prior precision of the model's own coefficients.
+        shape: What the samples are of.
         sigma: Noise of each channel, shape (C,).
     """
     K = len(precision)
@@ -219,17 +219,17 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
 
 def price(twice: float, freedom: int) -> float:
-    """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
+    """Evidence [nat] of columns that raise twice the log-likelihood by ``twice``, the price of their freedom taken off."""
     return 0.5 * (twice - charge(twice, freedom))
 
 
 def charge(twice: float, freedom: int) -> float:
-    """What columns that raise twice the log-likelihood by so much are charged for their freedom, times two, [nat]."""
+    """Twice the price [nat] of the freedom of columns that raise twice the log-likelihood by ``twice``."""
     return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
 
 
 def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: float) -> list[Score]:
-    """Evidence for columns that are no smooth functions; see :func:`scores`."""
+    """Scores of columns that are no samples of smooth functions; see :func:`scores`."""
     squares, freedoms = explained(M, s, raw)
     twice = profiled(squares, total, count)
     return [
@@ -239,7 +239,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: f
 
 
 def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that columns explain, shape (k,), and how many of these say something new, (k,); see :func:`scores`."""
+    """Squares that columns explain, shape (k,), and how many columns are not sums of the model's, (k,); see :func:`scores`."""
     scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     new = values > DEPENDENT
@@ -257,9 +257,9 @@ def _smooth(
     total: float = np.inf,
     count: float = 0.0,
 ) -> list[Score]:
-    """Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
+    """Scores with the best of the kernels and of the amplitudes :data:`TAUS`; the noise is profiled if ``total`` is finite.
 
-    Of all kernels and :data:`TAUS`; see :func:`likeliest`.
+    See :func:`likeliest`.
     """
     kernels = kernels_that_matter(shape, kernels)
     parts = []
@@ -295,7 +295,7 @@ def likeliest(
 
     .. math:: 2 \log L(\tau) = \tau^2 b^T (I + \tau^2 A)^{-1} b - \log |I + \tau^2 A|
 
-    with the first term, what is explained, profiled as for plain columns where the noise is not known.
+    with the first term, the squares explained, profiled as for plain columns where the noise is not known.
 
     Args:
         A: Information of the samples, times the root of their prior on both sides, in units of sigma, shape (n, d, d).
@@ -303,7 +303,7 @@ def likeliest(
         least: Information of a mode below which its pull is rounding, shape (n,).
         total: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
         count: Numbers measured.
-        roughly: Take amplitudes in units of all modes together, which need not be found one by one.
+        roughly: Take amplitudes in units of the trace of A, which needs no eigenvalues.
     """
     likely = _by_chain(A, b, total, count, roughly)
     doubted = likely.variance * least > HIDDEN
@@ -314,14 +314,14 @@ def likeliest(
 
 
 def profiled(squares: np.ndarray, total: float, count: float) -> np.ndarray:
-    """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
+    """Twice the gain in log-likelihood from squares explained; the noise is estimated with them where ``total`` is finite."""
     if total == np.inf:
         return squares
     return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(total, TINY)) / max(total, TINY)))
 
 
 def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly: bool) -> Amplitudes:
-    r"""All modes, without eigenvectors, which would take most of the time of a search.
+    r"""The likeliest amplitudes without eigenvectors, which would take most of the time of a search.
 
     Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
     :math:`v = \tau^{-2}`, diagonal :math:`\alpha_j`, :math:`\beta_j` beside it, :math:`\beta_0 = |b|`, from the last row up,
@@ -364,7 +364,7 @@ def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly:
 
 
 def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, count: float) -> Amplitudes:
-    """In the eigenbasis, without the pulls of modes that are rounding."""
+    """The likeliest amplitudes in the eigenbasis, without the pulls of modes that are rounding."""
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
     largest = _largest(values[:, -1])
@@ -381,12 +381,12 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, cou
 
 
 def _largest(scale: np.ndarray) -> np.ndarray:
-    """What amplitudes are in units of, shape (n, 1); 1 where nothing is seen."""
+    """Units of the amplitudes, shape (n, 1); 1 where the data say nothing."""
     return np.where(scale > TINY**0.5, scale, 1.0)[:, None]
 
 
 def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diagonals of the tridiagonal forms and squares of what is beside them, the pull's first, (n, d) each; the scale, (n,)."""
+    """Diagonals of the tridiagonal forms and squares of the off-diagonals, the pull's first, (n, d) each; the scale, (n,)."""
     n, d = b.shape
     bordered = np.zeros((n, d + 1, d + 1))
     bordered[:, 1:, 1:] = A
@@ -401,7 +401,7 @@ def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np
 
 
 def smooth_tail(twice: float) -> float:
-    """Chance that noise raises twice the log-likelihood of a smooth function by so much, at the most.
+    """Upper bound of the chance that noise raises twice the log-likelihood of a smooth function by ``twice``.
 
     A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2 degrees.
     """
@@ -409,5 +409,5 @@ def smooth_tail(twice: float) -> float:
 
 
 def tail(twice: float, freedom: int) -> float:
-    """Chance that chi-square with so many degrees of freedom exceeds a value."""
+    """Chance that chi-square with ``freedom`` degrees of freedom exceeds ``twice``."""
     return float(gammaincc(0.5 * freedom, 0.5 * max(twice, 0.0)))

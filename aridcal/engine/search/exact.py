@@ -1,4 +1,4 @@
-"""The exact model: constants and effects fitted together, and linearised for the search where that ended."""
+"""The exact model: constants and effects fitted together, and linearised at the fit for the search."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Start:
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         limit: Sigmas beyond which each of them is flagged, shape (N,).
-        progress: Told how far each pass over the rows is.
+        progress: Called with the rows done in each pass over them.
     """
 
     geometric: Fit
@@ -72,7 +72,7 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
 
 
 def _solved_values(start: Start, current: Fit, state: State) -> dict[str, float]:
-    """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+    """Values of the coefficients in the linearised model, by name; empty where its constants are others."""
     constants = _constants(current)
     if state.model.A.shape[2] != len(constants):
         return {}
@@ -115,7 +115,7 @@ def refit_constants(
 
 
 def flagged_again(start: Start, state: State, current: Fit) -> Fit:
-    """The fit with the rows flagged that it leaves far off; the same fit if those are the ones it was made without."""
+    """The fit with rows flagged by its own residuals; the same fit if it was made with these flags."""
     in_use = ~flagged(current.residual, start.train.channels, start.limit)
     if np.array_equal(in_use, ~current.outliers) or not state.active:
         return current
@@ -142,7 +142,7 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
-    # Of few rows these are near zero, not near the geometric stage.
+    # Constants with a prior, where rows are few, are near zero, not near the geometric stage.
     believed = _believed_precision(geometric, constants).any(axis=1)
     mean[:count] = np.where(believed, 0.0, [before.get(c.name, 0.0) for c in constants])
     return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
@@ -156,7 +156,7 @@ def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
 
 
 def _believed_precision(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
-    """Precision with which the geometric stage believed constants to be zero, (count, count); zero where nothing is believed."""
+    """Prior precision of the geometric stage's constants about zero, shape (count, count); zero without a prior."""
     number = {name: k for k, name in enumerate(geometric.model.names)}
     there = [k for k, c in enumerate(constants) if c.name in number]
     indices = [number[constants[k].name] for k in there]
@@ -166,9 +166,9 @@ def _believed_precision(geometric: Fit, constants: tuple[Coefficient, ...]) -> n
 
 
 def _constants_regained(start: Start, refitted: Fit) -> tuple[Coefficient, ...]:
-    """Constants that were given up in the geometric stage and are identifiable now."""
+    """Constants that the geometric stage dropped and that are identifiable beside the effects."""
     dropped = tuple(c for c in refitted.candidates if c.name in refitted.redundant)
-    if not dropped or start.geometric.believed.any():  # what few rows do not tell is there already
+    if not dropped or start.geometric.believed.any():  # with a prior all constants are in the fit already
         return ()
     model = refitted.model.with_coefficients(refitted.model.coefficients + dropped)
     theta = np.concatenate([refitted.theta, np.zeros(len(dropped))])
@@ -189,15 +189,15 @@ def linear_model(
 
     Args:
         start: The geometric stage, about which the constants are gauged, and the rows.
-        current: The model as it is.
-        active: Effects that are in it. If the scatter of places is among them, rows of a place are held back together;
-            else those of a configuration: where rows of a place err independently, each tells of the others' place.
-        library: Effects that may be added.
+        current: The model, fitted.
+        active: Its effects. With the scatter of places among them, rows of a place are held back together; else rows of a
+            configuration, as each row of a place then tells about the others'.
+        library: Candidates.
         observed: Covariates of the rows.
     """
     effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
     slots = tuple(dict.fromkeys(slot for e in effects for slot in e.slots))
-    # Most are shared, and slow to be compared.
+    # Most bases are shared objects, and slow to be compared.
     own_bases = {id(c.basis): c.basis for e in effects for c in e.coefficients}
     bases = tuple(dict.fromkeys(own_bases.values()))
     coefficients = current.model.coefficients
@@ -210,7 +210,7 @@ def linear_model(
     A = J[:, :, : len(coefficients)]
     if off is not None:
         r, A = off(r[:, :, None])[:, :, 0], off(A)
-    # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
+    # The residual at the geometric stage, to first order: the unknowns are differences from there.
     values_of_geometric = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
     geometric = np.array([values_of_geometric.get(name, 0.0) for name in current.model.names])
     r = r + A @ (current.theta - geometric)
@@ -244,7 +244,7 @@ def linear_model(
 
 
 def few_places(model: Model, train: Dataset) -> bool:
-    """True where rows measure places that are unknown, too few of them to hold any back."""
+    """True where rows measure unknown places, too few to hold one back."""
     question = problem(model, train)
     return question.groups is not None and bool((question.groups.row >= 0).all()) and _places(question) is None
 
@@ -258,10 +258,10 @@ def _places(question: Problem) -> np.ndarray | None:
 
 
 def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
-    """What bases depend on, shape (N,) each, where the rows are differentiated: as read, or where they agree with the model.
+    """Covariates of bases, shape (N,) each, at the readings of the derivatives: as read, or agreeing with the model.
 
-    A motion that turns back with a joint's angle is no motion at all; asked at one angle and undone at another, it would be one
-    of the size of what the readings were moved by, which is the noise of the very row.
+    A motion that a turn of a joint undoes moves nothing; with its basis at one angle and its column at another it would seem to
+    move the target by the difference of the angles, which is the noise of that very row.
     """
     predictions = question.measured
     if predictions.wide is None or predictions.agreed is None:
@@ -271,7 +271,7 @@ def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, 
 
 
 def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stretches of time, and folds of what is held back together, one number each for every row, shape (N,)."""
+    """Stretch of time and fold of each row, shape (N,) each; rows of one number in ``together`` have one fold."""
     n = len(train)
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n

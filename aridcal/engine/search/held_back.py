@@ -1,4 +1,4 @@
-"""Effects that held-back rows do not miss leave the model."""
+"""Effects without which held-back rows are predicted as well leave the model."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ SURE_GAIN = 3.0
 
 
 def missed(model: LinearModel, state: State) -> State:
-    """The model without the effects that held-back rows do not miss; what the campaign states stays.
+    """The model without effects that do not improve held-back rows; declared effects stay.
 
-    The effects are taken out one at a time, the least missed first, and all others are solved anew. The model is linear
-    about its own optimum, where effects that are nearly not missed change nothing to the second order.
+    Effects are taken out one at a time, that of the least gain first, and all others are solved anew. The model is linear
+    about its own optimum, where effects of little gain change nothing to the second order.
 
     Args:
         model: Linearised at the exact fit.
@@ -38,13 +38,13 @@ def missed(model: LinearModel, state: State) -> State:
             break
         rest = [a for a in state.active if a.effect != worst]
         state = solve_state(model, rest, state.solution.sigma, state.used)
-        # What is missed for sure is not asked again: the others stand in for what went, if anything.
+        # Effects of a sure gain are not tried again: it grows, if anything, when another effect leaves.
         candidates = {effect for effect, gain in gains.items() if gain < SURE_GAIN} - {worst}
     return state
 
 
 def _judging_channels(model: LinearModel, effect: Effect) -> list[int]:
-    """Channels that judge an effect: all; of what is local, which has few rows to speak for it, those that it moves."""
+    """Numbers of the channels that judge an effect: all; of a local one, which moves few rows, those that it moves."""
     every = list(range(len(model.channels)))
     if not is_local(effect):
         return every
@@ -53,7 +53,7 @@ def _judging_channels(model: LinearModel, effect: Effect) -> list[int]:
 
 
 def _held_back_gains(model: LinearModel, state: State, effects: Collection[Effect]) -> dict[Effect, float]:
-    """By how many standard errors effects lower the squared error of held-back rows; negative where one is not missed."""
+    """Gain of effects: how much they lower the squared error of held-back rows, in standard errors."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
     configuration = model.configuration[state.used]
     block = number[configuration] % BLOCKS

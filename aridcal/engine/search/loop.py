@@ -1,4 +1,4 @@
-"""The arm calibrated from measured poses: frames and constants, then effects that nobody declared."""
+"""The loop of a calibration: constants, effects, causes of scatter as weights, and again until the weights stay."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ class CalibratedArm:
     Attributes:
         rows: All rows, the held-out ones too.
         geometry: Frames alone, and frames with constants; the latter recentred and knowing gravity.
-        diagnosed: The final model and how it came about.
-        causes: What its residual's scatter is made of; None where that was not asked.
+        diagnosed: The final model and the search that led to it.
+        causes: Causes of the scatter of its residual; None where there are too few rows.
     """
 
     rows: Dataset
@@ -86,11 +86,11 @@ class CalibratedArm:
 def calibrated_arm(
     question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...], geometry: Geometry, progress: Progress
 ) -> CalibratedArm:
-    """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
+    """Fit and search; estimate the causes of scatter; if these are more than the instrument, fit again with them as weights.
 
-    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. Weights are
-    those of joints and distances: of a real robot with a tracker, those of directions and levers, found in the same rows,
-    made the error on rows held out 4 % larger. What the final model leaves is asked about all causes, to name them.
+    So no effect imitates the scatter of a joint's reading, and rows that this scatter does not touch count in full. Only joints
+    and distances make weights: on a real robot with a tracker, directions and levers estimated from the same rows made the
+    error on held-out rows 4 % larger. The final model's residual is tested for all causes, to name them.
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     if bodies > 1:
@@ -141,12 +141,12 @@ def calibrated_arm(
 
 
 def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
-    """What the scatter of a fitted arm is made of; see :func:`noise_causes`."""
+    """Causes of the scatter of a fitted arm; see :func:`noise_causes`."""
     return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
 
 
 def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
-    """What the scatter is made of, asked of all causes; in the figures of the weights where these name the same."""
+    """Causes of scatter among all kinds; with the figures of the weights where both name the same causes."""
     every, weighed = _causes(arm, rows, progress), arm.causes
     if every is None or weighed is None:
         return weighed
@@ -158,14 +158,14 @@ def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) ->
 
 
 def _share_of_row(rows: Dataset, fit: Fit) -> float:
-    """What each row counts for, by how alike rows of one place err in a fit of the training rows."""
+    """Independent rows that each row counts for, as rows of one place err alike in a fit of the training rows."""
     in_use = rows.fitted.select(~fit.outliers)
     residual = fit.residual[~fit.outliers]
     return independent_share(in_use, residual / spread(rms_of_channels(residual, in_use), in_use.channels))
 
 
 def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
-    """The geometry with the payload where the final model has the target; None where that changes no load that matters."""
+    """The geometry with the payload at the final model's target; None where that changes no load of an effect."""
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
     loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
@@ -176,13 +176,13 @@ def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
 
 
 def _with_surroundings(geometry: Geometry, around: Surroundings) -> Geometry:
-    """A geometry that knows of other surroundings."""
+    """The geometry with other surroundings."""
     geometric = geometry.geometric
     return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
 def _keep_nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
-    """The nominal robot with its frames alone, and effects that are stated, in place of a calibrated arm."""
+    """The nominal robot with its frames and the declared effects alone, in place of a calibrated arm."""
     rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
@@ -207,13 +207,13 @@ def fit_constants(
 def fit_arm(
     question: Question, geometry: Geometry, rows: Dataset, progress: Progress, before: Diagnosed | None = None
 ) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together.
+    """Search effects beside the constants, on the training rows, and fit all together.
 
     Args:
-        question: Which effects are stated, and which kinds may be sought.
+        question: Which effects are declared, and which kinds may be added.
         geometry: Fitted to the training rows.
         rows: All rows.
-        progress: Called with what is being done.
+        progress: Called with the work in hand.
         before: An earlier search, on other weights.
     """
     fit = geometry.geometric
@@ -237,7 +237,7 @@ def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings
 
 
 def is_short(fit: Fit) -> bool:
-    """True if so few numbers are left after a fit that nobody can say what it lacks: effects are not sought then."""
+    """True if so few degrees of freedom are left after a fit that no effect can be searched."""
     return fit.freedom <= LEAST_FREEDOM * fit.numbers
 
 
@@ -245,7 +245,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     r"""True if the larger of two models predicts blocks of held-back configurations better.
 
     Both are linear about their own optimum, so that each block costs one solution. Squares :math:`s` of each channel are
-    counted in units of what the smaller model leaves. Each configuration gains
+    counted in units of the smaller model's mean. Each configuration gains
 
     .. math:: (s_1 - s_2) / (s_1 + s_2)
 
@@ -253,7 +253,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
 
     Args:
         larger: K coefficients, fitted to the data.
-        smaller: Fitted to the same.
+        smaller: Fitted to the same rows.
         data: N rows.
     """
     in_use = ~larger.outliers
@@ -281,7 +281,7 @@ def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
     residual = r.copy()
-    for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
+    for k in np.unique(block) if K else ():  # where all frames are known nothing was fitted
         in_block = block == k
         sums = accumulate([J[in_block][:, c].reshape(-1, K) for c in parts], [r[in_block][:, c].ravel() for c in parts])
         H, g = data.repeats.share * sums.information(fit.sigma), data.repeats.share * sums.pull(fit.sigma)
@@ -290,7 +290,7 @@ def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
 
 
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on what seems to scatter and does not, and on what weights do not know."""
+    """Sentences on structure that looks like scatter, and on errors that rows share and weights cannot hold."""
     misread = (
         "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
         "curve or play that the model lacks, and no noise"

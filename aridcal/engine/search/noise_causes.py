@@ -1,9 +1,9 @@
-"""What the residual's scatter is made of: each instrument's channel, joints' readings, range, the arm's own repeatability.
+"""Causes of the residual's scatter: each instrument's channel, joints' readings, range, the arm's own repeatability.
 
 A joint whose reading scatters moves the predicted target by its column: such noise grows with the lever, ties a row's
 numbers together, and looks like no instrument. All rows that were measured while the arm stood still share it. Each cause is
 one variance of their covariance (:mod:`aridcal.engine.fit.variance_components`), chosen one after the other by a likelihood-ratio
-test. Rows are then weighed with what was found: each with its own covariance, for weights know nothing of other rows.
+test. Rows are then weighed by these causes, each row with its own covariance, for weights know nothing of other rows.
 """
 
 from __future__ import annotations
@@ -102,17 +102,17 @@ class NoiseCause:
     """One cause of scatter.
 
     Attributes:
-        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, which is told as that of each);
+        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, listed as that of each);
             ``range``: position noise per metre from the origin of
             the world frame; ``sight``: rotation noise about the line from there to the target; ``length``: noise of a
-            distance per metre read; ``repeatability``: what is the same in every row, where rows state their noise.
+            distance per metre read; ``repeatability``: a part of the same size in every row, where rows state their noise.
         name: Of the channel or of the joint's reading; else the channel that it acts on.
         unit: Of value and std.
         value: 1-sigma (per axis).
         std: Of the value.
         share: Of the variance of each channel over the training rows, shape (C,).
-        shape: What it lies along; None for the others.
-        rivals: What explains the scatter as well in its place: the rows do not tell which it is.
+        shape: Direction, point or lever of the noise; None for kinds without one.
+        rivals: Causes that explain the scatter as well in its place: the rows do not tell them apart.
     """
 
     kind: Kind
@@ -127,11 +127,11 @@ class NoiseCause:
 
 @dataclass(frozen=True)
 class NoiseCauses:
-    """What the scatter of the training rows is made of.
+    """The causes of the training rows' scatter.
 
     Attributes:
-        causes: The channels first, then what was found beyond them.
-        total: What all of them make of each channel, RMS per axis over the training rows, shape (C,).
+        causes: The channels first, then the causes beyond them.
+        total: Noise of all causes together in each channel, RMS per axis over the training rows, shape (C,).
         structured: Joints, and channels as range or line of sight concern them, that seem to scatter but whose errors come
             back at neighbouring rows: no noise.
         relative: Factors of all N rows' noise (see :class:`Dataset`), shape (N, m, m); None where the rows' own will do, as
@@ -147,17 +147,17 @@ class NoiseCauses:
 
     @property
     def channels(self) -> tuple[NoiseCause, ...]:
-        """The instrument's."""
+        """The causes that are the instrument's channels."""
         return tuple(c for c in self.causes if c.kind == "channel")
 
     @property
     def further(self) -> tuple[NoiseCause, ...]:
-        """Those beyond the instrument's channels, the largest share of the first channel's variance first, then of the next."""
+        """Causes beyond the instrument's channels, sorted by their share of the first channel's variance, then of the next."""
         return tuple(sorted((c for c in self.causes if c.kind != "channel"), key=lambda c: tuple(-c.share)))
 
     @property
     def beyond(self) -> np.ndarray:
-        """What those make of each channel, RMS per axis over the training rows, shape (C,)."""
+        """Noise of the causes beyond the channels, RMS per axis over the training rows, shape (C,)."""
         return self.total * np.sqrt(sum((c.share for c in self.further), np.zeros(len(self.total))))
 
 
@@ -167,13 +167,13 @@ Tie = tuple[Asked, Components, int]
 
 @dataclass(frozen=True)
 class _Inquiry:
-    """What is asked, of which rows.
+    """Rows and the causes that may scatter them.
 
     Attributes:
-        causes: All that may be, those with a shape last.
+        causes: All possible causes, those with a shape last.
         scatter: Residuals, and the covariances of these causes.
-        seen: Where the targets are.
-        channels: Those whose noise may have a shape.
+        targets: Poses of the targets.
+        channels: Channels whose noise may have a shape.
         rows: The rows.
         still: How they are stacked.
         orders: Pairs of neighbouring rows, and of neighbouring standstills.
@@ -181,7 +181,7 @@ class _Inquiry:
 
     causes: tuple[Asked, ...]
     scatter: Scatter
-    seen: Seen
+    targets: Seen
     channels: tuple[Channel, ...]
     rows: Dataset
     still: Stack
@@ -193,39 +193,39 @@ class _Inquiry:
 
     @cached_property
     def is_channel(self) -> np.ndarray:
-        """Which are the channels."""
+        """Which causes are the channels, shape (C,) bool."""
         return self.of("channel")
 
     @cached_property
     def price(self) -> np.ndarray:
-        """What the numbers of shapes cost, shape (C,), [nat]."""
+        """Price of the numbers of each cause's shape, shape (C,), [nat]."""
         return np.array([0.0 if c.shape is None else c.shape.price(len(self.rows)) for c in self.causes])
 
     def beside(self, some: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
-        """Which causes of some kinds act on a channel that one of these kinds acts on among some causes, shape (C,) bool."""
+        """Causes of some kinds on a channel on which one of ``some`` is of these kinds, too, shape (C,) bool."""
         along, names = self.of(*kinds), np.array([cause.name for cause in self.causes])
         return along & np.isin(names, names[some & along])
 
     def second(self, maximum: Components) -> np.ndarray:
-        """Which causes lie in the world's axes beside one of their channel, shape (C,) bool: they would be what it misses."""
+        """Causes in the world's axes beside one in the model on their channel, (C,) bool: they would explain its misfit alone."""
         return self.beside(maximum.free, IN_WORLD)
 
     def rests(self, structured: np.ndarray) -> np.ndarray:
-        """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
+        """Causes with a direction on a channel where one of these repeats at neighbouring rows, shape (C,) bool.
 
-        A frame that turns slowly is off along no single direction: what one leaves of it, another would be named for.
+        A frame that turns slowly is off along no single direction: another cause would be named for the rest of it.
         """
         return self.beside(structured, ("range", "sight", *SHAPES))
 
     def aimed(self, maximum: Components) -> _Inquiry:
-        """The same with all shapes that are not in the model as what it leaves asks for them."""
+        """The inquiry with the shapes that are not in the model fitted to its residual."""
         inquiry = self
         for k, some in self.shapes(maximum).items():
             inquiry = inquiry.with_shape(k, some[0])
         return inquiry
 
     def shapes(self, maximum: Components) -> dict[int, list[Shape]]:
-        """Shapes that what a maximum leaves may ask for, of each cause that has one and is not in the model."""
+        """Shapes fitted to the residual at a maximum, by the cause, for causes with a shape that are not in the model."""
         at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
         if maximum.free[at].all():
             return {}
@@ -233,21 +233,21 @@ class _Inquiry:
         pull, kernel = maximum.pull[: still.count], maximum.kernel[: still.count]
         residual = np.einsum("nij,nj->ni", covariances(scatter, maximum.at)[: still.count], pull)
         pull, kernel, residual = still.of_rows(pull), still.blocks_of_rows(kernel), still.of_rows(residual)
-        every = aimed(self.seen, self.channels, residual, pull, kernel)
+        every = aimed(self.targets, self.channels, residual, pull, kernel)
         return {k: some for k, some in zip(at, every, strict=True) if not maximum.free[k]}
 
     def with_shape(self, k: int, shape: Shape) -> _Inquiry:
-        """The same with another shape of a cause."""
-        cause = shaped(shape, self.seen)
+        """The inquiry with another shape of cause k."""
+        cause = shaped(shape, self.targets)
         blocks = self.scatter.blocks.copy()
         blocks[k, : self.still.count] = cause.stacked(self.still)
         causes = (*self.causes[:k], cause, *self.causes[k + 1 :])
         return replace(self, causes=causes, scatter=replace(self.scatter, blocks=blocks))
 
     def refined(self, maximum: Components, k: int) -> tuple[_Inquiry, Components]:
-        """A cause that was just named with the likeliest of its shapes and of the numbers near these, and the maximum.
+        """The inquiry with the likeliest shape of a cause that was just named, and the maximum with it.
 
-        A shape that is a little off leaves a rest that something else is accused of.
+        A shape that is a little off leaves a rest for which another cause would be named.
         """
         shape, this = self.causes[k].shape, np.arange(len(self.causes)) == k
         if shape is None:
@@ -258,21 +258,21 @@ class _Inquiry:
 
         height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
         for step in STEPS if shape.free else ():  # else no number of it was taken from the residual
-            while (better := likeliest(nearby(shape, step, self.seen)))[0] > height + SETTLED:
+            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + SETTLED:
                 height, shape = better
         reshaped = self.with_shape(k, shape)
         return reshaped, with_one(reshaped.scatter, maximum, k, float(maximum.variance[k]))
 
     def _height_with(self, maximum: Components, k: int, shape: Shape) -> float:
-        """The bound about a maximum where a cause has another shape, what this costs taken off."""
+        """The bound about a maximum where cause k has another shape, less the price of that shape."""
         free = np.flatnonzero(maximum.free)
         blocks = self.scatter.blocks[free]
-        blocks[int(np.searchsorted(free, k)), : self.still.count] = shaped(shape, self.seen).stacked(self.still)
+        blocks[int(np.searchsorted(free, k)), : self.still.count] = shaped(shape, self.targets).stacked(self.still)
         rows = replace(self.scatter, blocks=blocks)
         return highest(rows, self.scatter, maximum, free) - shape.price(len(self.rows))
 
     def comes_back(self, maximum: Components, k: int) -> tuple[bool, Components]:
-        """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
+        """True if errors of cause k repeat at neighbouring rows, so that it is no noise; and the maximum, settled if need be."""
         share = self._share_repeated(maximum, k)
         if 1.0 / UNSURE < share < UNSURE:
             maximum = settled(self.scatter, maximum)
@@ -280,11 +280,11 @@ class _Inquiry:
         return share > 1.0, maximum
 
     def _share_repeated(self, maximum: Components, k: int) -> float:
-        """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
+        """How much errors of cause k repeat at neighbouring rows, or standstills if these share them; above 1: it is no noise.
 
-        What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
-        two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J. More than 1 is as
-        much as it takes, in the part and the pairs in which it is most.
+        The score of a row's error, with its sign, is u = J' P y, which holds J' P J times the error. Products of two rows'
+        scores have the mean 0 if errors are independent, and theta times the product of both J' P J if they repeat. The part
+        and the pairs that repeat most count.
         """
         cause, still = self.causes[k], self.still
         pull, kernel = maximum.pull[: still.count], maximum.kernel[: still.count]
@@ -306,14 +306,14 @@ class _Inquiry:
 def noise_causes(
     fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
 ) -> NoiseCauses | None:
-    """Find what the scatter is made of; None if there are too few rows to ask.
+    """The causes of the scatter; None if there are too few rows to tell.
 
     Args:
         fit: The final model, fitted to the training rows.
         active: Its effects.
-        rows: All rows, scaled by what the campaign says of their noise. Held-out rows are not asked; they are weighed.
-        progress: Told how many causes are found.
-        shapes: Whether noise along directions, lines of sight, axes of the target and levers is asked about, too.
+        rows: All rows, scaled by what the campaign says of their noise. Held-out rows are only weighed.
+        progress: Called with the number of causes in the model.
+        shapes: Whether noise along directions, lines of sight, axes of the target and levers is possible, too.
     """
     question = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
@@ -336,12 +336,12 @@ def noise_causes(
 
 
 def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
-    """What is asked of some rows."""
+    """The inquiry on some rows, no cause beyond the channels in the model."""
     causes, targets = possible(part, fit.theta)
     channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.own)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
-        # Aimed as soon as there is a fit that says where.
+        # Shapes are fitted as soon as there is a maximum.
         causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(targets, channel)]
     still = stack(standstills(part.data), there(part.data))
     start = np.zeros(len(causes))
@@ -356,11 +356,11 @@ def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) ->
 def _add_causes(
     inquiry: _Inquiry, maximum: Components, structured: np.ndarray, progress: Progress
 ) -> tuple[_Inquiry, Components, np.ndarray]:
-    """Causes one after the other, as long as more than chance asks for one."""
+    """Causes added one after the other, as long as chance does not explain the next."""
     single, alike, is_channel = inquiry.of("joint"), inquiry.of("joints"), inquiry.is_channel
     inquiry = inquiry.aimed(maximum)
     while True:
-        # No price is enough for what would only be named for what another misses.
+        # A cause that would only explain another's misfit is not for any price.
         price = np.where(inquiry.second(maximum), np.inf, inquiry.price)
         more = one_more(inquiry.scatter, maximum, is_channel, price)
         if more is None:
@@ -368,11 +368,11 @@ def _add_causes(
         k, maximum = more
         progress.part(int(maximum.free.sum()), len(is_channel), "causes")
         if (maximum.free & single).sum() > 1 and (alike & ~maximum.free).any():
-            # One number in place of several, if it says as much.
+            # One variance in place of several, if it explains as much.
             fewer = instead(inquiry.scatter, maximum, single, int(np.argmax(alike)))
             k, maximum = (k, maximum) if fewer is None else (int(np.argmax(alike)), fewer)
         inquiry, maximum = inquiry.refined(maximum, k)
-        # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
+        # An error that repeats stays in the model, so that no other cause has to explain it, but it is no noise.
         structured[k], maximum = inquiry.comes_back(maximum, k)
         structured &= maximum.free
         inquiry = inquiry.aimed(maximum)
@@ -381,11 +381,11 @@ def _add_causes(
 def _try_rivals(
     inquiry: _Inquiry, maximum: Components, structured: np.ndarray
 ) -> tuple[_Inquiry, Components, dict[int, list[Tie]] | None]:
-    """Let each named cause meet its rivals, and joints that are accused together those of all of them.
+    """Compare each named cause with its rivals, and all named joints together with theirs.
 
     Returns:
-        What is asked, the maximum, and the rivals that are as good, by cause. Where a cause is not needed, or a rival explains
-        more, it is the maximum without that cause, or with that rival, and None.
+        The inquiry, the maximum, and by cause the rivals that are as good. Where a cause is not needed, or a rival explains
+        more: the maximum without that cause, or with that rival, and None.
     """
     is_channel, price, scatter = inquiry.is_channel, inquiry.price, inquiry.scatter
     candidates = maximum.free & ~is_channel & ~structured & (maximum.variance > 0.0)
@@ -412,7 +412,7 @@ def _try_rivals(
             k, more = trials[int(np.argmax(gains))]
             return inquiry_without, more, None
         for (k, more), gain in zip(trials, gains, strict=True):
-            # A shape may well coincide with a joint's motion, so that its price is none to those who must be told of it.
+            # A shape may well coincide with a joint's motion: for being reported as a rival it pays no price.
             if gain + inquiry_without.price[k] > -TIED:
                 for k_named in np.flatnonzero(members):
                     ties[int(k_named)].append((inquiry_without.causes[k], more, k))
@@ -422,7 +422,7 @@ def _try_rivals(
 def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, worth: float) -> list[tuple[int, float]]:
     """Rivals of a set of named causes, shape (C,) bool, that may be as good, and the variances at which they begin.
 
-    What is asked is aimed at the maximum without the set; ``worth`` is the log-likelihood with it, what it costs taken off.
+    Shapes of the inquiry are fitted at the maximum without the set; ``worth`` is the log-likelihood with it, less its price.
     """
     demand = asked_for(inquiry.scatter, base)
     least = max(worth - base.log_likelihood - LOOSE, 0.0)
@@ -435,7 +435,7 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
 
 
 def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
-    """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
+    """The final model linearised at some rows, by standstills; smooth effects by the modes that the data determine."""
     here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
     y, J, B = map(_concatenated, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
@@ -466,7 +466,7 @@ def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence
 
 
 def _concatenated(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays one behind the other; one alone as it is, for such arrays are large."""
+    """Arrays one behind the other; a single one is not copied, for such arrays are large."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
@@ -478,7 +478,7 @@ def _result(
     question: Problem,
     theta: np.ndarray,
 ) -> NoiseCauses:
-    """The causes in words and figures, and the factors that they give to all rows."""
+    """The causes with their figures and rivals, and the factors that they give all rows."""
     causes, channel = inquiry.causes, inquiry.is_channel
     noise = (maximum.variance > 0.0) & ~structured & ~inquiry.rests(structured)
     relative = _weights(inquiry, maximum.variance, noise, question, theta) if (noise & ~channel).any() else None
@@ -510,7 +510,7 @@ def _result(
 
 
 def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
-    """Which components each cause is told with, shape (C, C): what all joints have alike each of them has, beside its own."""
+    """Components that each cause adds up, shape (C, C): a joint has its own, and that of all joints alike."""
     kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
     each = np.eye(len(possible))
     each[kinds == "joints"] = 0.0

@@ -1,4 +1,4 @@
-"""Every cause of noise that can be asked about: which numbers of a row it ties together, and how much it adds to each.
+"""Hypotheses on noise: causes that may scatter rows, and the covariance that each gives the numbers of a row.
 
 Channels, readings, range and lines of sight follow from the model alone. What has a shape
 (:mod:`aridcal.engine.search.noise_shapes`) is aimed anew as long as it is not in the model.
@@ -30,14 +30,14 @@ Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeat
 
 @dataclass(frozen=True)
 class Asked:
-    """A cause that may be there.
+    """A possible cause of scatter.
 
     Attributes:
         kind: As of a :class:`NoiseCause` (:mod:`aridcal.engine.search.noise_causes`).
-        name: Likewise.
-        unit: Likewise.
-        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d): d independent numbers.
-        shape: What it lies along, where that is not the model's alone to say.
+        name: As of a :class:`NoiseCause`.
+        unit: As of a :class:`NoiseCause`.
+        root: Scaled residual of each row per unit of the cause's d independent errors, shape (N, m, d).
+        shape: Direction, point or lever of the cause; None where the model alone determines ``root``.
     """
 
     kind: Kind
@@ -58,13 +58,13 @@ class Asked:
 
     @property
     def parts(self) -> tuple[Asked, ...]:
-        """What of it may come back by itself: each joint."""
+        """Causes of which each may repeat at neighbouring rows: the joints of ``joints`` one by one, else the cause itself."""
         if self.kind != "joints":
             return (self,)
         return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
 
     def stacked(self, still: Stack) -> np.ndarray:
-        """The same of standstills, shape (S, M, M)."""
+        """Covariance of each standstill per unit of its variance, shape (S, M, M)."""
         if not self.common:
             return still.matrices(self.blocks)
         root = still.vectors(self.root)
@@ -77,7 +77,7 @@ def there(rows: Dataset) -> np.ndarray:
 
 
 def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
-    """Every cause that follows from the model alone, no row's residual looked at; and where the targets are."""
+    """Every cause that the model alone determines, without the residuals; and the poses of the targets."""
     rows, model = question.data, question.model
     at = np.concatenate([theta, np.zeros(len(model.own_motions))])
     more = problem(model.with_motions(model.own_motions), rows).settled(at)
@@ -117,16 +117,16 @@ def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
 
 
 def shaped(shape: Shape, targets: Seen) -> Asked:
-    """Noise of a shape as a cause."""
+    """Noise of a shape as a possible cause."""
     return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, targets), shape)
 
 
 def _roots_of_instruments(
     rows: Dataset, p: np.ndarray, units: np.ndarray
 ) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
-    """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
+    """Causes of instruments: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
-    The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
+    The model has the targets at p, shape (N, 3), [m]; ``units`` are unit vectors of the numbers of each row, (N, m, m).
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):

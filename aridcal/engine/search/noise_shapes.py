@@ -1,12 +1,12 @@
-r"""What an instrument's noise may lie along: a direction, lines of sight, axes of the target, a lever on which the target stands.
+r"""Shapes of an instrument's noise: along a direction, lines of sight, axes of the target, or across a lever to the target.
 
 A stereo camera is worst in depth, and worse by the square of the distance. A body of markers is found to turn as well as to
 move: its rotation noise throws a target that stands off it, across the lever. Such noise ties a row's numbers together as a
-joint's reading does, and a search that knows joints alone accuses these.
+joint's reading does, and a search that knows joints alone would name these.
 
-Directions, points and levers are taken from what a fit leaves: with u = P y and P_ii of a row
+Directions, points and levers are fitted to the residual of a fit: with u = P y and P_ii of a row
 (:mod:`aridcal.engine.fit.variance_components`) and G its axes, the score of a variance along v is :math:`\tfrac12 v^T S v` with
-:math:`S = \sum_i G_i^T (u_i u_i^T - P_{ii}) G_i`, largest along an eigenvector. Numbers that are taken so are paid for:
+:math:`S = \sum_i G_i^T (u_i u_i^T - P_{ii}) G_i`, largest along an eigenvector. Numbers that are fitted so have a price:
 :attr:`Shape.free`.
 """
 
@@ -33,20 +33,20 @@ SHAPES: tuple[Kind, ...] = get_args(Kind)
 
 @dataclass(frozen=True)
 class Shape:
-    """What noise lies along.
+    """The shape of a channel's noise.
 
     Attributes:
         kind: ``direction`` of the world; ``depth``: along lines of sight, growing with the distance; ``bearing``: across
             these; ``own_axis``: along an axis of the target, or across it; ``lever``: of a rotation that is measured, too.
-        channel: Whose noise.
-        vector: Unit vector, of the world or, of ``own_axis``, of the target; of a lever the lever, in the target's axes,
-            [m]; None of lines of sight.
-        point: Where lines of sight begin, in the world, [m]; None where there are none.
+        channel: Name of the channel.
+        vector: Unit vector, in the world or, for ``own_axis``, in the target's axes; for a lever the lever in the target's
+            axes, [m]; None for lines of sight.
+        point: Where lines of sight begin, in the world, [m]; None for kinds without.
         across: True if the noise is in the two directions across.
-        power: Of the distance that it grows with.
-        typical: RMS distance of the rows, [m], at which its size is what is said.
-        free: Numbers of it that were taken from the residual.
-        among: Shapes of its kind that it was chosen among.
+        power: Power of the distance with which the noise grows.
+        typical: RMS distance of the rows, [m]: there the noise has its stated size.
+        free: Numbers that were fitted to the residual.
+        among: Number of shapes of its kind that it was chosen from.
     """
 
     kind: Kind
@@ -60,12 +60,12 @@ class Shape:
     among: int = 1
 
     def price(self, rows: int) -> float:
-        """What it must gain, [nat]: half the logarithm of the rows for each of its numbers (Schwarz 1978), and the choice."""
+        """Least gain, [nat]: half the logarithm of the rows for each number fitted (Schwarz 1978), and that of the choice."""
         return 0.5 * self.free * float(np.log(rows)) + float(np.log(self.among))
 
     @property
     def unit(self) -> str:
-        """Of its size."""
+        """Unit of the noise."""
         if self.kind == "lever":
             return "rad"
         return "rad" if self.channel == TARGET_ROTATION.name else "m"
@@ -73,13 +73,13 @@ class Shape:
 
 @dataclass(frozen=True)
 class Seen:
-    """Where the targets of N rows are.
+    """Poses of the targets of N rows, and the channels that measure them.
 
     Attributes:
         R: Attitudes, shape (N, 3, 3).
         p: Places, shape (N, 3), [m].
-        own: Axes of the rows' numbers of each channel that has three, shape (N, m, 3) each, by name.
-        turned: Name of the rotations that were measured with the positions, by the name of these.
+        own: Axes of each channel that measures targets in the world, shape (N, m, 3) each, by the channel's name.
+        turned: Name of the rotation channel beside each position channel, by the name of the latter.
     """
 
     R: np.ndarray
@@ -89,7 +89,7 @@ class Seen:
 
 
 def directed(shape: Shape, targets: Seen) -> np.ndarray:
-    """What the noise does to the three numbers of its channel, per unit of its size, shape (N, 3, d)."""
+    """Error of the channel's three numbers per unit of the noise, shape (N, 3, d)."""
     if shape.kind == "lever":
         assert shape.vector is not None
         return -_cross_matrices(targets.R @ shape.vector)
@@ -109,20 +109,20 @@ def directed(shape: Shape, targets: Seen) -> np.ndarray:
 
 
 def root(shape: Shape, targets: Seen) -> np.ndarray:
-    """The same of all numbers of the rows, shape (N, m, d)."""
+    """Error of all numbers of the rows per unit of the noise, shape (N, m, d)."""
     roots = targets.own[shape.channel] @ directed(shape, targets)
     return roots + targets.own[targets.turned[shape.channel]] if shape.kind == "lever" else roots
 
 
 def distances(shape: Shape, targets: Seen) -> np.ndarray:
-    """From the point: along the direction, if it has one, shape (N,), [m]."""
+    """Distances of the targets from the shape's point, along its vector if it has one, shape (N,), [m]."""
     assert shape.point is not None
     away = targets.p - shape.point
     return np.abs(away @ shape.vector) if shape.vector is not None else np.linalg.norm(away, axis=1)
 
 
 def _cross_matrices(v: np.ndarray) -> np.ndarray:
-    """Matrices of v x, shape (N, 3, 3), of shape (N, 3)."""
+    """Matrices of the cross product with v, shape (N, 3, 3), for v of shape (N, 3)."""
     matrices = np.zeros((len(v), 3, 3))
     matrices[:, [2, 0, 1], [1, 2, 0]] = v
     matrices[:, [1, 2, 0], [2, 0, 1]] = -v
@@ -132,14 +132,14 @@ def _cross_matrices(v: np.ndarray) -> np.ndarray:
 def aimed(
     targets: Seen, channels: Sequence[Channel], residual: np.ndarray, pull: np.ndarray, kernel: np.ndarray
 ) -> list[list[Shape]]:
-    """Of each kind and channel the shapes that a fit's residual may ask for, that which it asks for most first.
+    """Shapes of each kind and channel fitted to a residual, the best of each kind first.
 
-    Always as many kinds, in the order of :func:`shapes_of`.
+    The kinds are those of :func:`shapes_of`, in its order.
 
     Args:
-        targets: N rows.
-        channels: Those whose noise is asked about, of ``seen``.
-        residual: What the fit leaves in each row, shape (N, m).
+        targets: Poses of N rows.
+        channels: Channels whose noise may have a shape, of ``targets``.
+        residual: Of each row, shape (N, m).
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
     """
@@ -158,7 +158,7 @@ def aimed(
 
 
 def nearby(shape: Shape, step: float, targets: Seen) -> Iterator[Shape]:
-    """Shapes whose numbers, taken from the residual, are other by a share of their size."""
+    """Shapes whose fitted numbers differ by ``step``, a share of their size."""
     for sign in (step, -step):
         for axis in np.eye(3):
             if shape.point is not None and shape.vector is None:
@@ -174,12 +174,12 @@ def nearby(shape: Shape, step: float, targets: Seen) -> Iterator[Shape]:
 
 
 def sized(shape: Shape, targets: Seen) -> Shape:
-    """The same, its size said at the RMS distance of the rows."""
+    """The shape with the size of its noise stated at the RMS distance of the rows."""
     return replace(shape, typical=max(float(np.sqrt(np.mean(distances(shape, targets) ** 2))), FLOOR))
 
 
 def shapes_of(targets: Seen, channel: Channel) -> list[Shape]:
-    """One of each kind that :func:`aimed` gives for a channel, not aimed yet."""
+    """One shape of each kind that :func:`aimed` gives for a channel, without fitted numbers."""
     kinds: list[Kind] = ["direction", "own_axis"]
     if channel.axes == TARGET_POSITION.axes:
         kinds += ["depth", "bearing"]
@@ -230,7 +230,7 @@ def _extreme_directions(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
-    """The lever that what is left of rotations explains what is left of positions by, in the target's axes, shape (3,), [m].
+    """The lever by which residuals of rotations explain those of positions, in the target's axes, shape (3,), [m].
 
     A body that is read as turned by w has a target that stands off it by l read as moved by w x R l.
     """
@@ -241,7 +241,7 @@ def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
 
 
 def _merit(shape: Shape, targets: Seen, W: np.ndarray, P: np.ndarray) -> float:
-    """What a score test expects a shape to gain beside even noise of its channel, less what its numbers cost, [nat]."""
+    """Gain of a shape beside even noise of its channel by a score test, less its price, [nat]."""
     r = directed(shape, targets)
     Pr = P @ r
     inner = r.transpose(0, 2, 1) @ Pr

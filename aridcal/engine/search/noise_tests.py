@@ -1,8 +1,7 @@
-"""Is what remains noise? Repeats, neighbours, order, jumps and the stated noise, each asked on its own.
+"""Is the residual noise? Tests of repeats, neighbours, order, jumps and the declared noise, each by itself.
 
-What moves with the base looks alike in world axes, what moves with the target in the target's, and what a joint's zero does
-only as that joint's own motion. So neighbours, order and jumps are asked in all of these, and the answer is the clearest of
-them, corrected for their number.
+Errors of the base are alike in world axes, errors of the target in the target's, and an error of a joint only along that joint's
+own motion. So neighbours, order and jumps are tested in all of these views; the clearest counts, corrected for their number.
 """
 
 from __future__ import annotations
@@ -68,11 +67,11 @@ Question = Literal[
 
 @dataclass(frozen=True)
 class View:
-    """Residuals as something may have moved: in some axes, or along one joint's own motion.
+    """Residuals in some axes, or along one joint's own motion.
 
     Attributes:
-        words: Which, for messages.
-        white: In sigmas, shape (N, k).
+        words: The axes or the joint, for messages.
+        white: Residuals in sigmas, shape (N, k).
     """
 
     words: str
@@ -81,13 +80,13 @@ class View:
 
 @dataclass(frozen=True)
 class Clue:
-    """One question to the residual.
+    """The result of one test of the residual.
 
     Attributes:
-        question: Which.
-        what: In words.
-        share: Of the remaining variance that it shows to be repeatable, 0 to 1.
-        p_value: If the residual were white.
+        question: The test.
+        what: The structure that it looks for, in words.
+        share: Share of the residual's variance that is structure, 0 to 1.
+        p_value: Chance of so clear a result if the residual were white.
     """
 
     question: Question
@@ -97,7 +96,7 @@ class Clue:
 
     @property
     def tells(self) -> bool:
-        """True if it shows structure worth a word."""
+        """True if the test shows structure worth a word."""
         return self.p_value < SURE and self.share > LEAST
 
 
@@ -109,15 +108,15 @@ def clues(
     fit: Fit | None = None,
     progress: Progress = SILENT,
 ) -> list[Clue]:
-    """Ask whether residuals are white.
+    """Tests of whether residuals are white.
 
     Args:
-        rows: The rows in use; their declared noise is asked about too.
-        residual: Theirs, scaled by their relative sigmas, shape (N, m).
+        rows: The rows in use; their declared noise is tested, too.
+        residual: Of each row, scaled by its relative sigmas, shape (N, m).
         repeats: Scatter of repeated configurations, if there are any.
         freedom: Share of the numbers that is left after fitting, 0 to 1.
-        fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
-        progress: Told how often the rows are shuffled.
+        fit: The model, for the target's axes and the joints' motions; None: world axes alone are tested.
+        progress: Called with the number of shuffles.
     """
     sigma = rms_of_channels(residual, rows)
     residual = np.nan_to_num(residual)
@@ -141,11 +140,11 @@ def clues(
 
 
 def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
-    """Numbers of all rows, or of many those of :data:`STRETCHES` stretches on end that are spread evenly, ascending.
+    """Ascending row numbers: all, or of many rows :data:`STRETCHES` stretches on end, spread evenly.
 
     Args:
         sequence: Numbers of the N rows in the order of measurement, shape (N,).
-        most: How many rows.
+        most: Rows at the most.
     """
     if len(sequence) <= most:
         return np.arange(len(sequence))
@@ -155,7 +154,7 @@ def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
 
 
 def _things(rows: Dataset, white: np.ndarray) -> list[Clue]:
-    """Does a thing leave more than the others: a marker that is not where its table says, a socket that came loose?
+    """Are the residuals of a thing larger than the others': a marker that is not where its table says, a loose socket?
 
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
@@ -195,7 +194,7 @@ def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
 
 
 def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
-    """Residuals in the target's axes, and as each joint's own motion.
+    """Residuals in the target's axes, and along each joint's own motion.
 
     With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
     and of variance 1 if r is.
@@ -221,7 +220,7 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
 
 
 def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
-    """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
+    """Is the residual larger than the scatter of repeats, which is the noise without errors of the model?"""
     numbers = float(repeats.freedom.sum())
     share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
     p_value = float(chdtr(numbers, numbers * (1.0 - share)))
@@ -249,7 +248,7 @@ def neighbours(rows: Dataset) -> list[np.ndarray]:
 
 
 def _moving_joints(readings: np.ndarray) -> np.ndarray:
-    """Which joints are not always at the same reading, shape (columns,) bool."""
+    """Joints that are not always at the same reading, shape (columns,) bool."""
     return np.asarray(readings.std(axis=0) > FLOOR)
 
 
@@ -267,7 +266,7 @@ def _successors(order: np.ndarray) -> np.ndarray:
 
 
 def _correlation(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
-    """Correlation of pairs of rows, the first and the second of each, shape (pairs,), against what it is in all their orders."""
+    """Correlation of pairs of rows, first and second of each, shape (pairs,), against its distribution over all orders."""
     white, starts = _side_by_side(views)
     sums = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
     mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
@@ -310,7 +309,7 @@ def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[flo
 
 
 def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
-    """All views in one array, shape (N, columns), and where each begins."""
+    """All views in one array, shape (N, columns), and the first column of each."""
     sizes = [view.white.shape[1] for view in views]
     return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
 

@@ -1,7 +1,7 @@
-r"""Products of a linearised model's columns, each made once: what every trial of a search is put together from.
+r"""Products of a linearised model's columns, each computed once: the sums from which every trial of a search is solved.
 
-A search solves and scores the same columns hundreds of times, in other company and with other noise. With :math:`X_e` the
-columns of an effect (or of the constants), all sums that this needs are
+A search solves and scores the same columns hundreds of times, beside other effects and with other noise. With :math:`X_e` the
+columns of an effect (or of the constants), all sums that it needs are
 
 .. math:: \sum_{n \in f, c} X_e^T X_{e'}, \qquad \sum_{n \in f, c} X_e^T r
 
@@ -54,7 +54,7 @@ Flat = tuple[np.ndarray, ...]
 
 @dataclass(frozen=True)
 class Source:
-    """Where columns come from; rows in the order of the folds.
+    """Functions that make columns; rows in the order of the folds.
 
     Attributes:
         make: Columns of effects side by side, of all rows or of those at some places.
@@ -75,7 +75,7 @@ class Layout:
 
     Attributes:
         channels: What each row measures.
-        order: Row at each place, shape (N,).
+        order: Number of the row at each place, shape (N,).
         starts: First place of each fold, and the end, shape (F + 1,).
     """
 
@@ -85,7 +85,7 @@ class Layout:
 
     @classmethod
     def of(cls, fold: np.ndarray, channels: Channels) -> Layout:
-        """Of rows with folds of shape (N,)."""
+        """The layout of rows whose folds are numbered, shape (N,)."""
         order = np.argsort(fold, kind="stable")
         different = np.unique(fold)
         return cls(channels, order, np.append(np.searchsorted(fold[order], different), len(fold)))
@@ -98,7 +98,7 @@ class Layout:
         return tuple(ordered[:, part].reshape(len(ordered) * channel.size, *tail) for channel, part in parts)
 
     def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
+        """The columns that :meth:`flat` took apart, rows in their own order, shape (N, m, d)."""
         rows = len(self.order)
         ordered = np.concatenate([x.reshape(rows, len(x) // rows, x.shape[1]) for x in parts], axis=1)
         values = np.empty_like(ordered)
@@ -106,11 +106,11 @@ class Layout:
         return values
 
     def stretches(self, size: int) -> list[slice]:
-        """Numbers of each fold in a channel of so many numbers a row."""
+        """Stretch of each fold in a channel of ``size`` numbers a row."""
         return [slice(low, high) for low, high in pairwise((self.starts * size).tolist())]
 
     def numbers(self, places: np.ndarray) -> list[np.ndarray]:
-        """Numbers of some rows in each channel, from the rows' places."""
+        """Indices of some rows' numbers in each channel, from the rows' places."""
         sizes = [channel.size for channel in self.channels]
         return [(places[:, None] * size + np.arange(size)).ravel() for size in sizes]
 
@@ -121,13 +121,13 @@ class Chunk:
 
     Attributes:
         effects: The candidates.
-        own: X'X, shape (C, w, w), of columns that are far apart 0: no two candidates are asked about together; of a grid each
+        own: X'X, shape (C, w, w), left 0 far off the diagonal, as no two candidates are scored together; of a grid each
             candidate's own, shape (C, candidates, d, d).
         pull: X'r, shape (C, w).
-        across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
+        across: X'Y for the columns Y of members of the design (None: the constants), shape (C, w, d) each.
         columns: X itself, where there is room for it.
         rows: Places in the order of the folds outside of which X is zero: those of a limb; None for all.
-        grid: What makes them, if they are one.
+        grid: The grid of the candidates, if they are one.
     """
 
     effects: tuple[Effect, ...]
@@ -146,7 +146,7 @@ class Chunk:
 
 
 class Products:
-    """What was multiplied so far of one linearised model."""
+    """Cache of products of one linearised model's columns."""
 
     def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
         """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
@@ -167,7 +167,7 @@ class Products:
         self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
-        """The same, columns made by a model that has further bases."""
+        """These products, columns now made by a model that has further bases."""
         self._source = source
         self._local.clear()  # known by numbers, which may mean other functions there
         self._moved.clear()
@@ -179,7 +179,7 @@ class Products:
         return self._source.make(effects, None)
 
     def now_in_the_model(self, members: Sequence[Member]) -> None:
-        """Forget what was in the model longest ago, if more is kept than there is room for."""
+        """Note the members of the present model, and forget those used longest ago if there is no room for all."""
         for effect, _ in members:
             if effect is not None:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
@@ -191,7 +191,7 @@ class Products:
             self._forget(old)
 
     def forget(self) -> None:
-        """Keep nothing: no more is asked."""
+        """Free all memory but the constants': no trial is to come."""
         for effect in list(self._known):
             self._forget(effect)
         self._solved.clear()
@@ -213,7 +213,7 @@ class Products:
                 self._kept -= chunk.across.pop(effect).size
 
     def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
-        """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
+        """Columns of a member, rows in the order of the covariate ``of``, shape (N, m, d); they are kept."""
         if (of, member) not in self._ordered:
             place = np.argsort(self.layout.order)[order]
             parts = [x.reshape(len(place), -1, x.shape[1])[place] for x in self.columns(member)]
@@ -229,7 +229,7 @@ class Products:
         return self._columns[of]
 
     def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
-        """Products of two such, shape (F, C, da, db)."""
+        """Products of the columns of two members, shape (F, C, da, db)."""
         if (a, b) not in self._between:
             grid_a, grid_b = self._as_grid(a), self._as_grid(b)
             if grid_a is not None:
@@ -243,14 +243,14 @@ class Products:
         return self._between[a, b]
 
     def in_modes(self, a: Member, b: Member) -> np.ndarray:
-        """The same of what is solved for, shape (F, C, modes of a, modes of b): most of it stays from trial to trial."""
+        """Products of two members' modes, shape (F, C, modes of a, modes of b): most stay from trial to trial."""
         key = id(a[1]), id(b[1])
         if key not in self._solved:  # kept with the modes themselves, so that no other array gets their identity
             self._solved[key] = a[1], b[1], np.ascontiguousarray(a[1].T) @ self.between(a[0], b[0]) @ b[1]
         return self._solved[key][2]
 
     def pull(self, of: Effect | None) -> np.ndarray:
-        """Products with the residual, shape (F, C, d)."""
+        """Products of a member's columns with the residual, shape (F, C, d)."""
         if of not in self._pull:
             self._pull[of] = self._folds(self.columns(of), self.r)
         return self._pull[of]
@@ -278,7 +278,7 @@ class Products:
         return None if factors is None or functions is None else grid_of(*self._slots(factors[0]), functions)
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
-        """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
+        """Chunks that hold some candidates, computed where there is none yet, and kept as long as there is room."""
         places = [self._place.get(e) for e in effects]
         new = [e for e, place in zip(effects, places, strict=True) if place is None]
         yield from {id(place[0]): place[0] for place in places if place is not None}.values()
@@ -344,7 +344,7 @@ class Products:
         return Chunk(tuple(effects), grid.own(), grid.pull(self.r), {}, None, grid.rows, grid)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
-        """Whether so many numbers more are kept; they are counted."""
+        """True, and the numbers counted, if there is room for so many more."""
         room = self._kept + numbers <= most
         self._kept += numbers if room else 0
         return room
@@ -361,7 +361,7 @@ class Products:
         return Chunk(tuple(effects), gram, pull, {}, X, rows)
 
     def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
-        """Where a candidate is: among those that were scored with the library, or by itself."""
+        """The chunk of a candidate, and its columns there: a chunk of the library, or one of its own."""
         return self._place.get(effect) or (self.chunk([effect]), slice(None))
 
     def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
@@ -371,7 +371,7 @@ class Products:
         return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
-        """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
+        """Products of a chunk's columns with those of each member of the design, shape (C, w, d) each."""
         products = {effect: chunk.across.get(effect) for effect, _ in members}
         new = [effect for effect, product in products.items() if product is None]
         X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
@@ -389,7 +389,7 @@ class Products:
         return [product for product in products.values() if product is not None]
 
     def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
-        """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
+        """Products of a chunk's columns X (a grid has none) with those of a member, shape (C, w, d)."""
         Y = self.columns(member)
         limbs = [chunk.rows] if chunk.rows is not None else self._limbs if chunk.grid is not None else []
         if not limbs:
@@ -412,7 +412,7 @@ class Products:
         return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
-        """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
+        """Columns of a member that are not zero in a limb's rows, in these rows, and their numbers; they are kept."""
         key = member, rows.tobytes()
         if key not in self._of_limbs:
             here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
@@ -435,7 +435,7 @@ def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 
 def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
-    """First column, and one beyond the last, of pieces of about :data:`PIECE` columns that hold whole candidates."""
+    """First column, and one beyond the last, of pieces of whole candidates, about :data:`PIECE` columns each."""
     ends = [0]
     end = 0
     for k, effect in enumerate(effects):
@@ -446,6 +446,6 @@ def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
 
 
 def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
-    """Effects, and where their columns are when they stand side by side."""
+    """Effects with the places of their columns, side by side."""
     ends = np.cumsum([0, *(len(e.coefficients) for e in effects)]).tolist()
     return [(e, slice(low, high)) for e, low, high in zip(effects, ends[:-1], ends[1:], strict=True)]

@@ -1,4 +1,4 @@
-"""Candidates ranked by what they would add to a model, and one of them put in."""
+"""Candidates ranked by their evidence beside a model, and a model with one of them added."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ def rank(
     progress: Progress = SILENT,
     scores: Mapping[Effect, Score] | None = None,
 ) -> list[tuple[Effect, Score]]:
-    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+    """Scores of every candidate that is not in the model; the best first, the first few refined.
 
     Args:
         state: The model as it is.
-        library: Candidates; a step among them is tried where the residual asks for it most.
-        hints: Kinds of which those that the residual hints at are candidates too.
-        also: Further candidates, as they are.
-        progress: Told how many are scored.
-        scores: Rough scores of candidates, where there are some.
+        library: Candidates; of a step the best row is tried.
+        hints: Kinds whose effects are candidates too where the residual hints at them.
+        also: Further candidates, steps at their own row.
+        progress: Called with the number of candidates scored.
+        scores: Rough scores of candidates, as far as they are known.
     """
     jumps = [e for e in library if e.at is not None]
     library = [*(e for e in library if e.at is None), *best_steps(state.model, state, jumps), *also]
@@ -80,21 +80,21 @@ def rank(
 
 
 def _is_covered(effect: Effect, covered: set[tuple[str, str]]) -> bool:
-    """True for what an effect of the model holds already: a gain or a slow harmonic of a joint that has a map."""
+    """True for an effect that one of the model can imitate: a gain or a slow harmonic of a joint that has a map."""
     return (effect.kind, effect.where) in covered and max(effect.order, default=0.0) < MAPPED
 
 
 def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
-    """Candidates that may be what an effect is taken for: of what joints alone decide, no step, where a scan takes long."""
+    """Candidates for the place of an effect: steps are none of them for one of joints alone, where their scan takes long."""
     timed = effect.at is not None or not set(sources(effect)) <= set(state.model.own)
     return [e for e in library if e.at is None or timed or is_small(state.model, library)]
 
 
 def with_effect(state: State, effect: Effect, score: Score) -> State:
-    """The model with a candidate, flags and noise found anew, from the noise that its score was found with."""
+    """The model with a candidate, solved from the noise of the candidate's score."""
     return state.with_active((*state.active, activate(state, effect, score)), noise_with(state, score))
 
 
 def with_flags(state: State) -> State:
-    """The same effects, rows flagged anew."""
+    """The model with its rows flagged anew."""
     return state.with_active(state.active)

@@ -1,4 +1,4 @@
-"""What remains, traced: to each joint as an error of its own, to every column measured, and to the order of time."""
+"""Trends of the residual: over each joint as its own motion, over every measured column, and in the order of time."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Course:
-    """What rows ask for with one model, and how it runs over a covariate.
+    """Motion that explains each row's residual with one model, and its course over a covariate.
 
     Attributes:
-        rows: What each row asks for, shape (n,), [m] or [rad].
+        rows: Motion of each row, shape (n,), [m] or [rad].
         mean: Mean of each slice, shape (B,).
         smooth: A smooth curve through the means, shape (G,).
         size: RMS of the means beyond their noise.
-        p_value: That slices of noise would differ from zero as much.
+        p_value: Chance that slices of noise differ from zero as much.
     """
 
     rows: np.ndarray
@@ -65,16 +65,16 @@ class Course:
 
 @dataclass(frozen=True)
 class Trace:
-    """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
+    """Residuals over a covariate, as the motion that explains each row by itself.
 
     Attributes:
         motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
         unit: ``m`` or ``rad``.
         covariate: A joint, a measured column, or a load.
-        seen: Covariate of the rows that say something of this motion, in order, shape (n,).
+        seen: Covariate of the rows that this motion moves, shape (n,).
         centre: Covariate of slices of these rows, shape (B,).
-        std: Standard deviation that noise gives the means of these, shape (B,).
-        at: Where the smooth curves through the means were evaluated, shape (G,).
+        std: Standard deviation that noise gives the means of the slices, shape (B,).
+        at: Covariate at which the smooth curves through the means were evaluated, shape (G,).
         before: Without effects.
         after: With the final model.
     """
@@ -98,11 +98,11 @@ class Order:
         timed: True if the order is that of a column ``time``, False if it is that of the table.
         lags: Rows apart, shape (L,).
         correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
-        bound: What 95 % of such correlations stay within if all is noise.
+        bound: Bound within which 95 % of such correlations lie if residuals are noise.
         changes: Changes of sign from one row to the next, all axes together.
-        expected: As many as noise makes.
+        expected: Mean number of these if residuals are noise.
         spread: Standard deviation of that number.
-        p_value: That noise makes so few.
+        p_value: Chance that noise makes so few.
     """
 
     timed: bool
@@ -117,13 +117,13 @@ class Order:
 
 @dataclass(frozen=True)
 class Traces:
-    """What remains, asked on what it depends.
+    """Trends of the residual of the final model.
 
     Attributes:
         joints: Each joint's own motion over its own position.
-        strongest: For each joint, load and column: the motion that depends on it most clearly.
+        strongest: For each joint, load and column, the motion that depends on it most clearly.
         asked: Number of pairs of a motion and a covariate that these were chosen from.
-        order: In the order of time.
+        order: Residuals in the order of time.
     """
 
     joints: tuple[Trace, ...]
@@ -134,7 +134,7 @@ class Traces:
 
 @dataclass(frozen=True)
 class _Pull:
-    """Residuals as a motion that each row asks for by itself; ``weight`` is 1 / variance that the noise makes of it."""
+    """Motion that explains each row's residual by itself, before and after; ``weight`` is 1 / its variance by noise."""
 
     motion: str
     unit: str
@@ -151,7 +151,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         rows: The N rows in use.
         before: Residuals of the model without effects, shape (N, m), [m] and [rad].
         after: Residuals of the final model.
-        progress: Told how many covariates are asked about.
+        progress: Called with the number of covariates done.
     """
     robot = fit.model.robot
     pulls, world = _pulls(fit, rows, before, after)
@@ -181,8 +181,8 @@ def _varies(values: np.ndarray) -> bool:
 def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pull], np.ndarray]:
     r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel; and the rows' base frames.
 
-    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
-    :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
+    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row's motion is
+    :math:`J^T r / J^T J`, of variance :math:`1 / J^T J`.
     """
     robot = fit.model.robot
     question = problem(fit.model.with_motions(fit.model.own_motions), rows)
@@ -211,7 +211,7 @@ def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tu
 
 
 def _strongest(pulls: Sequence[_Pull], covariate: str, values: np.ndarray) -> Trace:
-    """The motion of which noise would least likely show as much."""
+    """The motion whose dependence on a covariate noise explains least."""
     chances, sliced = [], {}
     for p in pulls:
         key = (p.weight > 0).tobytes()
@@ -241,7 +241,7 @@ def _trace(pull: _Pull, covariate: str, values: np.ndarray) -> Trace:
 
 @dataclass(frozen=True)
 class _Means:
-    """Slices of rows: mean covariate, weighted mean of what the rows ask for, and the noise of that; shape (B,) each."""
+    """Slices of rows: mean covariate, weighted mean of the rows' motion, and its noise; shape (B,) each."""
 
     centre: np.ndarray
     mean: np.ndarray
@@ -249,7 +249,7 @@ class _Means:
 
 
 def _sliced(pull: _Pull, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that say something of a motion, in the order of a covariate, shape (n,), and the slice of each: see :func:`_means`."""
+    """Numbers of the rows that a motion moves, in the order of a covariate, shape (n,), and the slice of each, shape (n,)."""
     informed = np.flatnonzero(pull.weight > 0)
     informed = informed[np.argsort(values[informed], kind="stable")]
     different, place = np.unique(values[informed], return_inverse=True)
@@ -261,7 +261,7 @@ def _sliced(pull: _Pull, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _means(
     pull: _Pull, values: np.ndarray, motion_of_rows: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]
 ) -> _Means:
-    """Slices of equally many rows; of a column with few values, one slice for each."""
+    """Means of slices; these have equally many rows, or one value each of a column with few."""
     informed, place = sliced
     weight = pull.weight[informed]
     total = np.bincount(place, weight)
@@ -270,7 +270,7 @@ def _means(
 
 
 def _p_value(m: _Means) -> float:
-    """That noise alone makes such means."""
+    """Chance that noise alone makes such means."""
     return float(chdtrc(len(m.mean), np.sum((m.mean / m.std) ** 2)))
 
 

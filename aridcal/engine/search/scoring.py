@@ -1,4 +1,4 @@
-"""Every candidate scored at once against the model as it is, and the best of them tried on rows held back.
+"""One candidate at a time: its evidence with the noise estimated beside it, and the tests that it must pass.
 
 The tests that a candidate must pass, one after the other, are those of docs/how-the-search-works.md: evidence corrected for
 the number of candidates, squared error on rows held back, and a test that stands up to rows that err together.
@@ -79,13 +79,13 @@ SHAPED = 0.02
 
 @dataclass(frozen=True)
 class Judgement:
-    """How a candidate fared: accepted, or why not.
+    """The judgement of a candidate: accepted, or why not.
 
     Attributes:
         effect: The candidate.
         score: Its evidence.
         p_value: Corrected for the number of candidates.
-        gain_held_back: Share of the squared error that it takes off rows held back.
+        gain_held_back: Share of the squared error of held-back rows that it takes away.
         why: Why it was refused; empty if it was accepted.
     """
 
@@ -97,20 +97,20 @@ class Judgement:
 
 
 def refine(state: State, effect: Effect, rough: Score) -> Score:
-    """The same score with the noise of each channel estimated apart, with the candidate in."""
+    """A rough score refined: the noise of each channel estimated for itself, with the candidate in the model."""
     question = effect, rough.gain, rough.tau, rough.kernel
     return state.once(question, lambda: _refined(state, effect, rough))
 
 
 def score_of(state: State, effect: Effect) -> Score:
-    """Evidence for one candidate, the noise of each channel estimated with it in."""
+    """Score of one candidate, the noise of each channel estimated with it in the model."""
     return refine(state, effect, score_all(state.model, [effect], state)[0])
 
 
 def _refined(state: State, effect: Effect, rough: Score) -> Score:
     if effect.smooth:
         return _refined_smooth(state, effect, rough)
-    if rough.freedom == 0:  # declared, though the model can do all that it does
+    if rough.freedom == 0:  # declared, though its columns are sums of the model's
         return rough
     candidate = activate(state, effect, rough)
     equations, precision = with_candidate(state, candidate)
@@ -126,12 +126,12 @@ def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray)
     sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
     if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
         return sigma, likelihood
-    after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
+    after = solve(equations, precision, sigma)  # degrees of freedom beside priors depend on the noise
     return after.sigma, after.likelihood
 
 
 def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
-    """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
+    """Score of a smooth function, shape and noise estimated in turn: without it, what it explains passes for noise."""
     total, score = with_columns(state, effect), rough
     for _ in range(SHAPINGS):
         candidate = activate(state, effect, score)
@@ -140,7 +140,7 @@ def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
         if score.sigma is not None and abs(np.log(score.sigma[0] / sigma[0])) < SHAPED:
             break
         score = shaped(total, state.precision, effect.shape, sigma)
-    # The volume of what its modes may still be counts against it: the marginal likelihood's determinant.
+    # The determinant of the marginal likelihood: the volume that its modes may still fill counts against it.
     volume = -last_log_determinant(equations.information(sigma) + precision, len(state.precision))
     twice = 2.0 * (likelihood - state.solution.likelihood) + volume
     return replace(score, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
@@ -153,8 +153,8 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
         state: The model without it.
         effect: The candidate.
         score: Its evidence.
-        choices: Candidates among which it stood out. Where several of its family are in the model, it stood out among the
-            others of that family alone.
+        choices: Candidates among which it is the best; where several of its family are in the model, it counts as the best
+            of the others of that family alone.
     """
     siblings = choices.siblings(state.active, effect)
     chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
@@ -223,27 +223,27 @@ def held_out_whole(state: State, candidate: Active) -> float:
 
 
 def _is_at_several_things(model: LinearModel, effect: Effect) -> bool:
-    """False for what is seen at one place alone: what happened while that was measured, and what is wrong with it."""
+    """False for an effect that moves rows of one place alone, or a step: what happened there, or is wrong with that place."""
     assert model.thing is not None
     there = np.any(model.columns(effect), axis=(1, 2))
     return effect.at is None and len(np.unique(model.thing[there])) > 1
 
 
 def _best_function(state: State, candidate: Active) -> np.ndarray:
-    """A smooth candidate as the one function that fits best, shape (d, 1): of a narrow map few rows know anything."""
+    """Coefficients of the function that fits best for a smooth candidate, shape (d, 1): few rows determine a narrow map."""
     total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
     return candidate.modes @ beta[:, None]
 
 
 def sources(effect: Effect) -> list[str]:
-    """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
+    """Covariates of an effect, loads by the joint that bears them; without places of the target and labels."""
     named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
 def _p_value_over_time(state: State, candidate: Active) -> float:
-    """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
+    """p-value of an effect on a column that the user does not control, when rows of one stretch of time may err together."""
     run = np.unique(state.model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
         return _p_value_of_clusters(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
@@ -253,7 +253,7 @@ def _p_value_over_time(state: State, candidate: Active) -> float:
 
 
 def _p_value_of_losses(loss: np.ndarray) -> float:
-    """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
+    """p-value, by Wilcoxon's signed ranks, that a candidate makes losses (2, n), without and with it, no smaller."""
     return signed_ranks(loss[0] - loss[1])
 
 
@@ -288,7 +288,7 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
 
     Args:
         state: The model without it.
-        candidate: What is added.
+        candidate: The effect added.
         part: Number of the part of each row in use, shape (n,).
 
     Returns:
@@ -304,7 +304,7 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
 
 
 def held_back_folds(state: State, candidate: Active) -> np.ndarray:
-    r"""The same with the folds as parts, from sums that are there already, shape (2, C, n).
+    r"""As :func:`held_back` with the folds as parts, from sums that are there already, shape (2, C, n).
 
     One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
     """
@@ -340,13 +340,13 @@ def held_back_squares(
     """Squared error in sigmas of each row in use when the rows of its part are held back, with some of the columns each time.
 
     Args:
-        state: Says which rows are in use, n of them.
-        design: P columns of these, one array for each channel, shape (n size, P).
-        equations: Of the same.
-        precision: Of the prior of all, shape (P, P).
+        state: Its n rows in use count.
+        design: P columns of these rows, one array for each channel, shape (n size, P).
+        equations: Of these columns.
+        precision: Of the prior of all coefficients, shape (P, P).
         sigma: Noise of each channel, shape (C,).
         part: Number of the part of each row in use, shape (n,).
-        masks: Masks of the columns, shape (P,); L of them.
+        masks: L choices of columns, shape (P,) bool each.
 
     Returns:
         Shape (L, C, n), channel by channel.
@@ -374,7 +374,7 @@ def held_back_squares(
 def _p_value_of_clusters(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray) -> float:
     r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
-    With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
+    With C its columns projected off the model's, r the residual and e that after C, all in sigmas,
 
     .. math:: S = \frac{g}{g - 1} \sum_{j} C_j^T e_j e_j^T C_j, \qquad
               F = \frac{r^T C S^+ C^T r}{d} \cdot \frac{g - d}{g} \sim F_{d, g - d}
@@ -384,7 +384,7 @@ def _p_value_of_clusters(state: State, effect: Effect, along: np.ndarray, cluste
     Args:
         state: The model without it.
         effect: The candidate.
-        along: What of its coefficients is tested, shape (coefficients, d).
+        along: Combinations of its coefficients that are tested, shape (coefficients, d).
         cluster: Number of the cluster of each row in use, shape (n,).
     """
     products, sigma = state.model.products, state.solution.sigma

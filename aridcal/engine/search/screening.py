@@ -33,7 +33,7 @@ Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
-    """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
+    """Rough scores of candidates against a solved state, each by itself, its columns projected off the model's."""
     new = [e for e in effects if e not in state.scored]
     sums = {
         effect: (M, s[columns], raw[columns])
@@ -51,9 +51,9 @@ def score_without(
     effects_out: Collection[Effect],
     progress: Progress = SILENT,
 ) -> dict[Effect, dict[Effect, Score]]:
-    """Score candidates against a solved state without each of some of its effects, at the noise that all leave.
+    """Rough scores of candidates without each of some effects of a state, at the state's noise, by the effect taken out.
 
-    Candidates are those that are not in the model then.
+    Effects still in the model are no candidates.
     """
     V, beta = state.solution.inverse, state.solution.beta
     every = zip(state.active, state.places[1:], strict=True)
@@ -82,7 +82,7 @@ def score_without(
 def _project(
     model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress
 ) -> Iterator[tuple[list[tuple[Effect, slice, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]]:
-    """Candidates chunk by chunk, where they are in it, and their M: T, s and squared lengths, w columns together."""
+    """Chunk by chunk: candidates, their columns in it and their M; then T, s and squared lengths of all w columns."""
     products, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
     products.now_in_the_model(state.members)
     candidates, done = set(effects), 0
@@ -108,7 +108,7 @@ def _project(
 
 
 def _score(sums: dict[Effect, Sums], state: State, beta: np.ndarray) -> dict[Effect, Score]:
-    """Evidence of candidates, those of one shape together, where the model has some solution."""
+    """Scores of candidates, those of one shape together, for a model with coefficients beta."""
     equations, sigma = state.equations, state.solution.sigma
     total, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
     alike = defaultdict(list)

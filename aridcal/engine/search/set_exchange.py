@@ -1,9 +1,8 @@
-"""Sets of effects exchanged for sets: what single steps cannot reach, as each of them would have to be better by itself.
+"""Sets of effects exchanged for sets that single steps do not reach, as each step would have to be better by itself.
 
-A search that adds the best effect first may explain the work of several simple causes by one that is none of them; then none of
-the simple ones is missed alone. So the set is grown again from others that lie further away: with a cause at all places at
-which it may act, in place of what moves the same with the same, and from sets that are made of whole families. The set with the
-most evidence stays.
+A search that adds the best effect first may explain several simple causes by one that is none of them; then no simple cause is
+missing by itself. So the set is grown again from distant sets: with a cause at all places at which it may act, in place of
+effects of the same motion and covariates, and from sets of whole families. The set with the most evidence stays.
 """
 
 from __future__ import annotations
@@ -42,9 +41,9 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
     """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
-        state: A set to which nothing can be added, and of which no single effect can be exchanged.
-        choices: What is chosen among.
-        progress: Told how many sets are tried.
+        state: A set that no single addition or exchange makes better.
+        choices: The candidates.
+        progress: Called with the number of sets tried.
     """
     if sum(not a.stated for a in state.active) < FEWEST:
         return state
@@ -66,12 +65,12 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
 
 
 def _curves(state: State) -> int:
-    """How many effects of a set may bend as the rows have it."""
+    """Number of smooth effects in a set."""
     return sum(a.effect.smooth for a in state.active)
 
 
 def _distant_sets(state: State, library: Sequence[Effect]) -> Iterator[State]:
-    """Sets that differ from one by more than an effect."""
+    """Sets that differ from a set by more than one effect."""
     effects = [a.effect for a in state.active if not a.stated]
     acting = {_motion_and_covariates(e) for e in effects}
     alike = dict.fromkeys([*map(family, effects), *(family(e) for e in library if _motion_and_covariates(e) in acting)])
@@ -88,7 +87,7 @@ def _distant_sets(state: State, library: Sequence[Effect]) -> Iterator[State]:
 
 
 def _set_of_families(state: State, library: Sequence[Effect], evidence: Callable[[State], float]) -> State:
-    """The set made of whole families, the one that adds most evidence first: what no member shows by itself they may together."""
+    """A set of whole families, the one that adds most evidence first: members may show together what none shows by itself."""
     simple = [e for e in library if len(e.slots) == 1 and e.at is None and not e.smooth]
     families = dict.fromkeys(map(family, simple))
     parts = [part for this_family in families for part in _of_orders([e for e in simple if family(e) == this_family])]
@@ -104,7 +103,7 @@ def _set_of_families(state: State, library: Sequence[Effect], evidence: Callable
 
 
 def _of_orders(members: Sequence[Effect]) -> Iterator[list[Effect]]:
-    """Members of a family: those of the lowest orders together, and those of each order."""
+    """Choices of a family's members: the lowest orders together, and each order by itself."""
     orders = sorted({e.order for e in members})
     lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
     for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
@@ -112,12 +111,12 @@ def _of_orders(members: Sequence[Effect]) -> Iterator[list[Effect]]:
 
 
 def _motion_and_covariates(effect: Effect) -> tuple[object, ...]:
-    """What moves, and with what: causes that share this stand for one another."""
+    """Place, motion and covariates: causes that share all three imitate one another."""
     return effect.where, effect.motion, effect.covariates
 
 
 def _with_all(state: State, members: Sequence[Effect]) -> State:
-    """The set with all of some effects of which the rows say anything, one of each order a place."""
+    """The set with all of some effects that have evidence, one of each place and order."""
     best: dict[tuple[object, ...], Active] = {}
     for effect, score in rank(state, members):
         if score.gain > 0.0:

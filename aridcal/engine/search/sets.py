@@ -1,4 +1,4 @@
-"""Sets of effects: what is believed of a set beforehand, and the evidence for it as a whole."""
+"""Sets of effects: the prior of a set, and the evidence for it as a whole."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ Family = tuple[str, tuple[str, ...]]
 
 
 def family(effect: Effect) -> Family:
-    """What an effect shares with the same cause at other places: gears of one make err alike, links of one make yield alike."""
+    """The family of an effect: gears of one make err alike, links of one make yield alike."""
     return effect.kind, effect.motion
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What is tried, and what it was chosen among.
+    """Candidates that are tried, and all candidates among which they are chosen.
 
     Attributes:
         library: Candidates that are tried.
-        count: Candidates in all.
+        count: Number of all candidates.
         places: Where each family may act.
-        orders: The orders that it may have.
+        orders: Orders that each family may have.
     """
 
     library: tuple[Effect, ...]
@@ -48,7 +48,7 @@ class Choices:
 
     @classmethod
     def of(cls, library: Sequence[Effect], count: int = 0) -> Choices:
-        """All candidates, or a count of those of which the library holds the most promising ones."""
+        """Choices of a library: all candidates, or the most promising ones of ``count``."""
         places: dict[Family, set[str]] = {}
         orders: dict[Family, set[tuple[float, ...]]] = {}
         for effect in library:
@@ -62,7 +62,7 @@ class Choices:
         )
 
     def only(self, library: Sequence[Effect]) -> Choices:
-        """Some of the candidates tried alone, chosen among all the same."""
+        """These choices with some candidates tried alone; they still count as chosen among all."""
         return replace(self, library=tuple(library))
 
     def siblings(self, active: Sequence[Active], effect: Effect) -> int:
@@ -75,14 +75,14 @@ class Choices:
         return max(len(places_free), 1) * max(len(self.orders.get(this_family, ())), 1)
 
     def cost(self, active: Iterable[Active]) -> float:
-        r"""What naming a set costs beforehand, [nat]: which families, at k of m places each, and with which orders.
+        r"""Minus the logarithm of the prior of a set, [nat]: its families, k of m places of each, and their orders.
 
         .. math:: \sum_{\text{families}} \log F + \log \binom{m}{k} + \log(m + 1)
                   + \log \frac{(n + f - 1)!}{(f - 1)! \prod_j n_j!}
 
-        for F families, as if each number of places were as likely beforehand as any other (J. G. Scott, J. O. Berger, Annals of
-        Statistics 38, 2010, 2587, section 3), and with n effects of f possible orders, :math:`n_j` of each, as if each
-        composition of orders were (Laplace's rule of succession): places of one make err in one way.
+        for F families, each number of places being as likely as any other (J. G. Scott, J. O. Berger, Annals of
+        Statistics 38, 2010, 2587, section 3), and with n effects of f possible orders, :math:`n_j` of each, each
+        composition of orders being as likely (Laplace's rule of succession): places of one make err in one way.
         """
         by_family: dict[Family, list[Effect]] = {}
         for a in active:
@@ -91,7 +91,7 @@ class Choices:
         return sum(self._cost_of(this_family, effects) for this_family, effects in by_family.items())
 
     def price(self, active: Sequence[Active], more: Active) -> float:
-        """What one more effect adds to that, [nat]."""
+        """What one more effect adds to the cost, [nat]."""
         return self.cost([*active, more]) - self.cost(active)
 
     def _cost_of(self, this_family: Family, effects: Sequence[Effect]) -> float:
@@ -107,7 +107,7 @@ class Choices:
 def evidence_of_set(state: State, choices: Choices, in_use: np.ndarray) -> float:
     r"""Logarithm of the evidence for a set of effects on some rows, up to a constant that all sets share, [nat].
 
-    Laplace's integral over the coefficients of all effects together, so that what two of them do alike is charged once:
+    Laplace's integral over the coefficients of all effects together, so that two effects of like columns are charged once:
 
     .. math:: \log L - \tfrac12 \log \big| T V^{-1} T + D \big| - \tfrac12 \beta_p^T (V_{pp} + T_p^2)^{-1} \beta_p
               - n_p - 2 n_s - \text{cost}
@@ -119,7 +119,7 @@ def evidence_of_set(state: State, choices: Choices, in_use: np.ndarray) -> float
 
     Args:
         state: The set.
-        choices: What it was chosen among.
+        choices: Candidates among which it is chosen.
         in_use: Rows by which sets are compared, shape (N,) bool.
     """
     if not np.array_equal(state.used, in_use):

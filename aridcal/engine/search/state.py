@@ -1,4 +1,4 @@
-"""A set of effects solved in the linearised model, from sums of products that are kept."""
+"""A set of effects solved in the linearised model, from stored sums of products."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class State:
     Attributes:
         model: The linearised model.
         active: The effects.
-        precision: Of the prior of all that is solved for, shape (P, P).
+        precision: Of the prior of all unknowns, shape (P, P).
         equations: Sums over the rows in use.
         solution: Their solution.
-        residual: What is left of every row, shape (N, m).
-        used: Rows in use: those that are no outliers, shape (N,) bool.
+        residual: Residual of every row, shape (N, m).
+        used: Rows in use, those that are no outliers, shape (N,) bool.
         unused: The other rows' places in the order of the folds, shape (N - n,).
-        extra: Columns of these, one array for each channel, shape ((N - n) size, P).
-        scored: Rough scores of candidates that were asked for so far.
-        answers: What else was asked for so far.
+        extra: Columns of the other rows, one array for each channel, shape ((N - n) size, P).
+        scored: Cache of rough scores, by candidate.
+        answers: Cache of other results; see :meth:`once`.
     """
 
     model: LinearModel
@@ -61,7 +61,7 @@ class State:
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def once(self, question: Hashable, answer: Callable[[], T]) -> T:
-        """What was found of it: who asks again gets the same."""
+        """The answer to a question about this state, computed at its first call alone."""
         if question not in self.answers:
             self.answers[question] = answer()
         value: T = self.answers[question]
@@ -89,7 +89,7 @@ class State:
 
     @cached_property
     def right(self) -> tuple[np.ndarray, ...]:
-        """Their residuals likewise, shape (n size,)."""
+        """Residuals of the rows in use, one array for each channel, shape (n size,)."""
         return self.flat(self.model.r)
 
     @cached_property
@@ -116,29 +116,29 @@ class State:
 
     @property
     def members(self) -> tuple[Member, ...]:
-        """What stands in the design: the constants, then the effects."""
+        """Members of the design: the constants, then the effects."""
         return members(self.model, self.active)
 
     @property
     def places(self) -> list[slice]:
-        """Where each of them is in what is solved for."""
+        """Places of each member's unknowns among the P."""
         return _places([modes.shape[1] for _, modes in self.members])
 
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """Products with the coefficients of all members, (..., w, d) each, as products with what is solved for, (..., w, P)."""
+        """Products with the columns of each member's coefficients, (..., w, d), as products with all unknowns', (..., w, P)."""
         first, *others = blocks
         return np.concatenate([first, *(b @ a.modes for b, a in zip(others, self.active, strict=True))], axis=-1)
 
     def fitted_by_place(
         self, beta: np.ndarray, low: int, high: int, candidate: Active | None = None
     ) -> list[np.ndarray]:
-        """What L solutions make of rows at some places of the folds' order, ((high - low) size, L) for each channel.
+        """Values that L solutions give rows at some places of the folds' order, ((high - low) size, L) for each channel.
 
         Args:
             beta: Shape (P, L), or (P + d, L) with a candidate.
             low: The first place.
             high: One beyond the last.
-            candidate: What is added.
+            candidate: An effect added to the design.
         """
         products = self.model.products
         every = members(self.model, self.active if candidate is None else (*self.active, candidate))
@@ -152,7 +152,7 @@ class State:
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects alone."""
+        """The effects in the model."""
         return tuple(a.effect for a in self.active)
 
     def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
@@ -188,8 +188,8 @@ class State:
             where: Columns of one of them; all of the chunk's otherwise.
 
         Returns:
-            Products with what is solved for, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
-            All candidates of a grid have products with themselves alone, (C, candidates, d, d).
+            Products with the unknowns' columns, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
+            Of a grid's candidates each has its products with itself alone, (C, candidates, d, d).
         """
         products = self.model.products
         some = slice(None) if where is None else where
@@ -205,7 +205,7 @@ class State:
 
 
 def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
-    """What stands in the design of some effects: the constants, then these."""
+    """Members of the design with some effects: the constants, then these."""
     return (model.products.constants, *((a.effect, a.modes) for a in active))
 
 
@@ -219,7 +219,7 @@ def solve_state(
         active: Effects.
         sigma: Noise to begin with, shape (C,).
         in_use: Rows to begin with, shape (N,) bool.
-        fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
+        fixed: Keep to these rows: models that are compared must be solved on the same rows.
     """
     model.products.now_in_the_model(members(model, active))
     every = _of_all_rows(model, active)
@@ -248,7 +248,7 @@ def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquation
 def _in_use(
     model: LinearModel, active: Sequence[Active], every: NormalEquations, in_use: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], NormalEquations]:
-    """Places and columns of the rows that are not used, and the sums without them."""
+    """Places and columns of the rows not in use, and the sums without them."""
     products, layout = model.products, model.products.layout
     unused = np.flatnonzero(~in_use[layout.order])
     extra = columns_at(model, members(model, active), unused)
@@ -261,7 +261,7 @@ def _in_use(
 
 
 def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What is solved for, in rows at some places of the folds' order: shape (rows size, P) for each channel."""
+    """Columns of all unknowns in rows at some places of the folds' order, shape (rows size, P) for each channel."""
     products, numbers = model.products, model.products.layout.numbers(places)
     parts = [
         [x[rows] @ modes for x, rows in zip(products.columns(effect), numbers, strict=True)] for effect, modes in every
@@ -270,7 +270,7 @@ def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) 
 
 
 def _places(sizes: Sequence[int]) -> list[slice]:
-    """Where members of so many unknowns each are, one after the other."""
+    """Places of members with these numbers of unknowns, one after the other."""
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(low, high) for low, high in pairwise(ends)]
 
@@ -312,8 +312,8 @@ def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndar
 def without_effect(state: State, effect: Effect) -> State:
     r"""The model without one of its effects, solved on the same rows.
 
-    The noise to begin with is the one that the coefficients leave without it at the noise that they had with it, which needs no
-    equations solved: with G its unknowns, V the inverse of all, and A_c the sums of a channel,
+    The noise to begin with follows from the residuals without it, at the weights that the model had with it; no equations need
+    be solved for it: with G its unknowns, V the inverse of all, and A_c the sums of a channel,
 
     .. math:: V_{-G} = V - V_{:G} V_{GG}^{-1} V_{G:}, \qquad
               \operatorname{tr} V_{-G} A_c = \operatorname{tr} V A_c - \operatorname{tr} V_{GG}^{-1} V_{G:} A_c V_{:G}
@@ -330,7 +330,7 @@ def without_effect(state: State, effect: Effect) -> State:
 
 
 def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
-    """What a solution leaves of every row, shape (N, m)."""
+    """Residual of every row, shape (N, m), for coefficients beta."""
     K = model.A.shape[2]
     residual = model.r - model.A @ beta[:K]
     for a, place in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
@@ -339,7 +339,7 @@ def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) ->
 
 
 def activate(state: State, effect: Effect, score: Score) -> Active:
-    """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
+    """A candidate with the unknowns to be solved for: those modes of a smooth one that the data determine."""
     if not effect.smooth:
         return Active(effect, score, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
     chunk, columns = state.model.products.chunk_of(effect)
@@ -350,7 +350,7 @@ def activate(state: State, effect: Effect, score: Score) -> Active:
 
 
 def noise_with(state: State, score: Score) -> np.ndarray:
-    """What is known of the noise with a candidate in the model, shape (C,)."""
+    """Noise with a candidate in the model, as far as its score knows it, shape (C,)."""
     return state.solution.sigma if score.sigma is None else score.sigma
 
 

@@ -28,13 +28,13 @@ BETTER = 1.0
 def grown(
     state: State, choices: Choices, most: int, small: bool, progress: Progress
 ) -> tuple[State, tuple[Judgement, ...]]:
-    """A model with the candidates that pass, up to so many effects; and those that were judged last and did not.
+    """A model grown by candidates that pass the tests, and the judgements of the last candidates that did not.
 
     Args:
         state: The model as it is.
         choices: The candidates.
         most: Effects of the model at the most.
-        small: Whether all is tried again after each step.
+        small: Whether all effects are tried again after each step.
         progress: Told how many candidates are scored.
     """
     rejected: list[Judgement] = []
@@ -63,7 +63,7 @@ def grown(
 def _worth_judging(
     state: State, ranked: Sequence[tuple[Effect, Score]], choices: Choices
 ) -> Iterator[tuple[Effect, Score]]:
-    """The best candidates, as long as chance does not explain them, and the best of families of which several are found."""
+    """The best candidates, as long as chance does not explain them, and the best of families with several members in it."""
     for effect, score in ranked[:JUDGED]:
         yield effect, score
         if score.p_value * choices.count > ALPHA:
@@ -75,7 +75,7 @@ def _worth_judging(
 
 
 def _with_rows_of_hints(state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
-    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by. And the hints."""
+    """The model solved with the flagged rows that a hint would explain, which are its evidence; and the hints."""
     in_use, hints = state.used.copy(), hinted(state, kinds)
     for effect in hints:
         if effect.smooth or is_field(effect):
@@ -87,13 +87,13 @@ def _with_rows_of_hints(state: State, kinds: Collection[str]) -> tuple[State, li
 
 
 def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> State:
-    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place.
+    """The model with each effect taken out in turn: dropped if it fails the tests, exchanged if another does better.
 
-    Curves that stay are shaped anew beside all else.
+    Curves that stay are shaped anew beside all other effects.
     """
     library = choices.library
     kinds = {e.kind for e in library}
-    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
+    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like the others.
     also = [e for e in state.effects if e.kind in kinds]
     removable = {*library, *also} - {a.effect for a in state.active if a.stated}
     lasting = list(dict.fromkeys(e for e in (*library, *also) if e.at is None or e in also))
@@ -107,7 +107,7 @@ def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> S
             rivals = in_place_of(state, library, effect)
             ranked = rank(without, rivals, {effect.kind}, also, progress, rough[effect])
             score = next((s for e, s in ranked if e == effect), None)
-            if score is None:  # a map of the same joint, taken since, holds it
+            if score is None:  # a map of the same joint, added since, covers it
                 state = without
                 continue
             worth = {e: s.gain - choices.price(without.active, activate(without, e, s)) for e, s in ranked[:REFINED]}
