@@ -119,7 +119,7 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
 
     def a_set(count: int) -> SimpleNamespace:
         effects = [SimpleNamespace(smooth=k < count) for k in range(8)]
-        return SimpleNamespace(active=[SimpleNamespace(effect=e, stated=False) for e in effects], used=None)
+        return SimpleNamespace(active=[SimpleNamespace(effect=e, declared=False) for e in effects], used=None)
 
     mine, other = a_set(3), a_set(curves)
     monkeypatch.setattr(set_exchange, "_distant_sets", lambda *_: iter(()))

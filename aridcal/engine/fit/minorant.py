@@ -44,12 +44,12 @@ class Bound:
 
     Attributes:
         blocks: Covariance of each row per unit of each variance, shape (C, N, m, m).
-        stated: Covariance of the numbers that no component scatters, shape (N, m, m).
+        fixed: Covariance of the numbers that no component scatters, shape (N, m, m).
         M: See :func:`moments`, shape (N, m, m).
     """
 
     blocks: np.ndarray
-    stated: np.ndarray
+    fixed: np.ndarray
     M: np.ndarray
 
     def best(self, theta: np.ndarray, free: np.ndarray, low: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ class Bound:
 
     def _of(self, B: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """The bound for some of the blocks, and the rows' V^-1, shape (N, m, m); -inf where a V is not positive."""
-        V = np.tensordot(theta, B, axes=1) + self.stated
+        V = np.tensordot(theta, B, axes=1) + self.fixed
         try:
             L = np.linalg.cholesky(V)
         except np.linalg.LinAlgError:

@@ -82,7 +82,7 @@ class Scatter:
         return Columns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
 
     @cached_property
-    def stated(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """Covariance of the numbers that no component scatters, shape (N, m, m)."""
         apart = np.einsum("cnii->ni", self.blocks) == 0.0
         return np.asarray(apart[:, :, None] * np.eye(apart.shape[1]))
@@ -221,7 +221,7 @@ def _whiten(scatter: Scatter, theta: np.ndarray) -> _White | None:
 def covariances(scatter: Scatter, theta: np.ndarray) -> np.ndarray:
     """V of each row, shape (N, m, m)."""
     positive = theta > 0.0
-    return np.asarray(np.tensordot(theta[positive], scatter.blocks[positive], axes=1) + scatter.stated)
+    return np.asarray(np.tensordot(theta[positive], scatter.blocks[positive], axes=1) + scatter.fixed)
 
 
 def _orthonormal(scatter: Scatter, W: np.ndarray) -> tuple[np.ndarray, float]:

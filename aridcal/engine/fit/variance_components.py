@@ -83,7 +83,7 @@ class Components:
         kernel: P_ii of each row, shape (N, m, m).
         low: Below which variances do not fall, shape (C,): a share of the channels' first estimates.
         at: Variances at which pull, kernel and covariance were computed, shape (C,): one short step from the maximum.
-        left: Bound on the error of the log-likelihood, [nat].
+        error: Bound on the error of the log-likelihood, [nat].
     """
 
     free: np.ndarray
@@ -94,7 +94,7 @@ class Components:
     kernel: np.ndarray
     low: np.ndarray
     at: np.ndarray
-    left: float
+    error: float
 
     @property
     def sigma(self) -> np.ndarray:
@@ -136,7 +136,7 @@ def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> 
 
 def settled(scatter: Scatter, maximum: Components) -> Components:
     """A maximum known to :data:`ROUGH`, refined to :data:`SETTLED` with the same components."""
-    if maximum.left < SETTLED:
+    if maximum.error < SETTLED:
         return maximum
     return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
 
@@ -263,7 +263,7 @@ def _maximum(
         low: Below which variances do not fall, shape (C,).
         enough: [nat] that the likelihood may be out by.
     """
-    here, left, gain = place(scatter, theta), 0.0, 0.0
+    here, error, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
@@ -271,8 +271,8 @@ def _maximum(
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))
-        left, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
-        if left < enough:
+        error, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
+        if error < enough:
             break
         higher = _higher(scatter, theta, here, step, promised, free, low)
         if higher is None:
@@ -285,7 +285,7 @@ def _maximum(
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = shortest(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
-    return Components(free, ahead, covariance, here.log_likelihood + gain, here.pull, here.kernel, low, theta, left)
+    return Components(free, ahead, covariance, here.log_likelihood + gain, here.pull, here.kernel, low, theta, error)
 
 
 def _higher(
@@ -314,7 +314,7 @@ def _higher(
 
 def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
     """The bound about a likelihood at variances ``at``, shape (C,)."""
-    return Bound(scatter.blocks, scatter.stated, moments(covariances(scatter, at), here.pull, here.kernel))
+    return Bound(scatter.blocks, scatter.fixed, moments(covariances(scatter, at), here.pull, here.kernel))
 
 
 def boundary_chance(twice: float) -> float:

@@ -93,7 +93,7 @@ def harmonics(state: State) -> list[Effect]:
     doi:10.1007/BF00648343).
     """
     harmonics_of_joints = []
-    joints = state.model.own
+    joints = state.model.joints
     count = SCANNED * len(joints)
     for name in joints:
         q, pull, weight = _turns_of_joint(state, name, state.residual, state.used)
@@ -116,7 +116,7 @@ def narrow_maps(state: State) -> list[Effect]:
     """
     clipped = _clipped(state)
     every = np.ones(len(clipped), dtype=bool)
-    places = {name: _turns_of_joint(state, name, clipped, every) for name in state.model.own}
+    places = {name: _turns_of_joint(state, name, clipped, every) for name in state.model.joints}
     count = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
     maps = []
     for name, (q, pull, weight) in places.items():

@@ -247,12 +247,12 @@ class _Nodes:
     Attributes:
         before: Rows before each, ascending, shape (k,).
         shared: C'A, shape (k, S, W).
-        taken: Part of the products of their columns that the model takes up, shape (k, S, S).
+        taken_up: Part of the products of their columns that the model takes up, shape (k, S, S).
     """
 
     before: np.ndarray
     shared: np.ndarray
-    taken: np.ndarray
+    taken_up: np.ndarray
 
     def last(self, count: int) -> int:
         """Number of the last of them with no more rows before it; -1 if there is none."""
@@ -260,7 +260,7 @@ class _Nodes:
 
     def between(self, before: np.ndarray, columns: Sequence[int]) -> np.ndarray:
         """Part of the products of some columns that the model takes up at steps, linear between nodes, shape (k, d, d)."""
-        products = self.taken[:, columns][:, :, columns]
+        products = self.taken_up[:, columns][:, :, columns]
         if len(self.before) == 1:
             return np.repeat(products, len(before), axis=0)
         high = np.clip(np.searchsorted(self.before, before), 1, len(self.before) - 1)

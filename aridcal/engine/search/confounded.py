@@ -157,7 +157,7 @@ def tied(
     return tuple(
         rival
         for a, rivals in zip(state.active, twins, strict=True)
-        if len(rivals) > 1 and not a.stated and not a.effect.smooth
+        if len(rivals) > 1 and not a.declared and not a.effect.smooth
         for rival in _rivals(state, constants, a, rivals)
     )
 

@@ -34,7 +34,7 @@ def reshaped(state: State, some: Callable[[Active], bool]) -> State:
             score = score_of(without, one.effect)
             if score.freedom == 0 or _same_shape(one, score.tau, score.kernel):
                 continue
-            shaped = replace(activate(without, one.effect, score), stated=one.stated)
+            shaped = replace(activate(without, one.effect, score), declared=one.declared)
             state = state.with_active([shaped if a is one else a for a in state.active])
         if state is before:
             break

@@ -59,7 +59,7 @@ def with_declared(
         barred += [Barred(f"{name}, of the declared {effect.label},", CONFOUNDED) for name in mute]
         state = state.with_active((*state.active, _as_declared(state, part)))
     state, barred_regions = _with_regions(state, waiting)
-    return reshaped(state, lambda a: a.stated), [*barred, *barred_regions]
+    return reshaped(state, lambda a: a.declared), [*barred, *barred_regions]
 
 
 def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Barred]]:
@@ -78,7 +78,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Ba
         if not worthwhile:
             break
         state = state.with_active((*state.active, *worthwhile))
-    dented = any(a.stated and a.effect.kind == fields[0].kind for a in state.active)
+    dented = any(a.declared and a.effect.kind == fields[0].kind for a in state.active)
     state, barred = _with_regions(state, fields)
     return state, [] if dented else barred
 
@@ -145,7 +145,7 @@ def _identifiable(state: State, effect: Effect) -> Effect:
 
 def _as_declared(state: State, effect: Effect) -> Active:
     """A declared effect ready for the model, with the shape that suits the data if it is smooth."""
-    return replace(activate(state, effect, score_of(state, effect)), stated=True)
+    return replace(activate(state, effect, score_of(state, effect)), declared=True)
 
 
 def _barred(effect: Effect, why: str) -> Barred:

@@ -122,7 +122,7 @@ class Diagnosed:
     @property
     def declared(self) -> tuple[Effect, ...]:
         """Effects that the campaign declares."""
-        return tuple(a.effect for a in self.found.state.active if a.stated)
+        return tuple(a.effect for a in self.found.state.active if a.declared)
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def diagnose(
     """
     every = Start(geometric, train, limits(train), progress)
     first = _search_once(question, every, before)
-    if any(not a.stated for a in first.found.state.active) and not first.scattered:
+    if any(not a.declared for a in first.found.state.active) and not first.scattered:
         scatter = scatter_of(_fewer_rows(every).train)
         if scatter:
             progress("asking whether rows of one place err alike, in place of these effects")
@@ -248,7 +248,7 @@ def _search_once(
         at, state = _large_first(setting, named, state)
     fresh = (small and not settled) or before is None
     if before is not None and not fresh:
-        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.stated)))
+        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.declared)))
         if not settled:
             state = confirmed(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
@@ -256,7 +256,7 @@ def _search_once(
     else:
         step = _search_named(setting, named, Step(at, Found(state, (), 0)), fresh)
     result = step.found
-    state, lost_effects = with_fields(reshaped(result.state, lambda a: a.stated), declared_effects)
+    state, lost_effects = with_fields(reshaped(result.state, lambda a: a.declared), declared_effects)
     result, barred_effects = replace(result, state=state), barred_effects + lost_effects
     if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")

@@ -113,13 +113,13 @@ class Amplitudes(NamedTuple):
         variance: Of the prior, tau^2, shape (n,).
         twice: Logarithm of the likelihood ratio to nothing, times two, shape (n,).
         freedom: Degrees of freedom that the samples use up then, shape (n,).
-        seen: False where the data say nothing of the samples, shape (n,).
+        informed: False where the data say nothing of the samples, shape (n,).
     """
 
     variance: np.ndarray
     twice: np.ndarray
     freedom: np.ndarray
-    seen: np.ndarray
+    informed: np.ndarray
 
 
 NOTHING = Score(0.0, 1.0, 0)

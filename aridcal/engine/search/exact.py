@@ -236,9 +236,9 @@ def linear_model(
         thing=_places(question),
         off=off,
         present=start.train.measures,
-        taken=question.taken(current.weight),
+        taken_up=question.taken(current.weight),
         share=start.train.repeats.share,
-        own=observed.robot.names,
+        joints=observed.robot.names,
         table=table,
     )
 

@@ -96,7 +96,7 @@ class Grid:
     functions: Local
     rows: np.ndarray | None = None
 
-    def own(self) -> np.ndarray:
+    def gram(self) -> np.ndarray:
         """Products of the columns of each slot with one another, shape (C, E, d, d)."""
         products = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
         d = self.functions.count

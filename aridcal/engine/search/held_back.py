@@ -30,7 +30,7 @@ def missed(model: LinearModel, state: State) -> State:
         model: Linearised at the exact fit.
         state: Solved with all effects.
     """
-    candidates = {a.effect for a in state.active if not a.stated}
+    candidates = {a.effect for a in state.active if not a.declared}
     while candidates:
         gains = _held_back_gains(model, state, candidates)
         worst = min(gains, key=lambda effect: gains[effect])

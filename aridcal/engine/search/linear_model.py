@@ -45,9 +45,9 @@ class LinearModel:
         off: Takes the part of unknown things off columns; None where there are none. r and A are without that part already;
             columns of G are multiplied with their bases first.
         present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
-        taken: Numbers of each channel that unknown things take up, shape (C,).
+        taken_up: Numbers of each channel that unknown things take up, shape (C,).
         share: Share of an independent measurement that each row counts for; residual and columns are scaled by its root.
-        own: Names of the joints: covariates that are under the user's control.
+        joints: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
     """
 
@@ -66,9 +66,9 @@ class LinearModel:
     thing: np.ndarray | None
     off: Projector | None
     present: np.ndarray
-    taken: np.ndarray
+    taken_up: np.ndarray
     share: float
-    own: tuple[str, ...]
+    joints: tuple[str, ...]
     table: Mapping[str, np.ndarray]
 
     @cached_property
@@ -137,7 +137,7 @@ class LinearModel:
 
     def prior_of(self, effect: Effect) -> float:
         """Prior precision of an effect's coefficients: where unknown things take up much, huge ones might cancel out."""
-        of_arm = effect.where in (*self.own, "world_base", "tip_target")
+        of_arm = effect.where in (*self.joints, "world_base", "tip_target")
         return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
 
     def slot_columns(self, where: str, component: str) -> np.ndarray:
@@ -221,14 +221,14 @@ class Active:
         effect: The effect.
         score: Its evidence, and its shape if it is smooth.
         modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
-        stated: True if the campaign declares it: it stays, whatever the evidence.
+        declared: True if the campaign declares it: it stays, whatever the evidence.
         prior: Prior precision of each coefficient, if it is not smooth.
     """
 
     effect: Effect
     score: Score
     modes: np.ndarray
-    stated: bool = False
+    declared: bool = False
     prior: float = 0.0
 
     @property

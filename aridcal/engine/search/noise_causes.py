@@ -338,7 +338,7 @@ def noise_causes(
 def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
     """The inquiry on some rows, no cause beyond the channels in the model."""
     causes, targets = possible(part, fit.theta)
-    channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.own)
+    channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.axes)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
         # Shapes are fitted as soon as there is a maximum.

@@ -78,14 +78,14 @@ class Seen:
     Attributes:
         R: Attitudes, shape (N, 3, 3).
         p: Places, shape (N, 3), [m].
-        own: Axes of each channel that measures targets in the world, shape (N, m, 3) each, by the channel's name.
-        turned: Name of the rotation channel beside each position channel, by the name of the latter.
+        axes: Axes of each channel that measures targets in the world, shape (N, m, 3) each, by the channel's name.
+        rotations: Name of the rotation channel beside each position channel, by the name of the latter.
     """
 
     R: np.ndarray
     p: np.ndarray
-    own: dict[str, np.ndarray]
-    turned: dict[str, str]
+    axes: dict[str, np.ndarray]
+    rotations: dict[str, str]
 
 
 def directed(shape: Shape, targets: Seen) -> np.ndarray:
@@ -110,8 +110,8 @@ def directed(shape: Shape, targets: Seen) -> np.ndarray:
 
 def root(shape: Shape, targets: Seen) -> np.ndarray:
     """Error of all numbers of the rows per unit of the noise, shape (N, m, d)."""
-    roots = targets.own[shape.channel] @ directed(shape, targets)
-    return roots + targets.own[targets.turned[shape.channel]] if shape.kind == "lever" else roots
+    roots = targets.axes[shape.channel] @ directed(shape, targets)
+    return roots + targets.axes[targets.rotations[shape.channel]] if shape.kind == "lever" else roots
 
 
 def distances(shape: Shape, targets: Seen) -> np.ndarray:
@@ -145,7 +145,7 @@ def aimed(
     """
     shapes = []
     for channel in channels:
-        G = targets.own[channel.name]
+        G = targets.axes[channel.name]
         u, P = np.einsum("nmi,nm->ni", G, pull), G.transpose(0, 2, 1) @ kernel @ G
         W = u[:, :, None] * u[:, None, :] - P
         for some in _shapes_of_channel(targets, channel, W, P, residual):
@@ -183,7 +183,7 @@ def shapes_of(targets: Seen, channel: Channel) -> list[Shape]:
     kinds: list[Kind] = ["direction", "own_axis"]
     if channel.axes == TARGET_POSITION.axes:
         kinds += ["depth", "bearing"]
-        if channel.name in targets.turned:
+        if channel.name in targets.rotations:
             kinds.append("lever")
     return [Shape(kind, channel.name) for kind in kinds]
 
@@ -214,7 +214,7 @@ def _shapes_of_channel(
     bearings += [Shape("bearing", name, None, point, across=True, power=1, free=3) for point in from_afar(least)]
     for some in (depths, bearings):
         yield [sized(shape, targets) for shape in some]
-    if name in targets.turned:
+    if name in targets.rotations:
         yield [Shape("lever", name, _lever(targets, name, residual), free=3)]
 
 
@@ -234,8 +234,8 @@ def _lever(targets: Seen, name: str, residual: np.ndarray) -> np.ndarray:
 
     A body that is read as turned by w has a target that stands off it by l read as moved by w x R l.
     """
-    moved = np.einsum("nmi,nm->ni", targets.own[name], residual)
-    turn = np.einsum("nmi,nm->ni", targets.own[targets.turned[name]], residual)
+    moved = np.einsum("nmi,nm->ni", targets.axes[name], residual)
+    turn = np.einsum("nmi,nm->ni", targets.axes[targets.rotations[name]], residual)
     columns = (_cross_matrices(turn) @ targets.R).reshape(-1, 3)
     return np.asarray(np.linalg.lstsq(columns, moved.ravel())[0])
 

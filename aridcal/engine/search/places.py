@@ -57,6 +57,6 @@ def with_scatter(state: State, scatter: tuple[Effect, ...]) -> State:
             state = without_effect(state, effect)
         score = score_of(state, effect)
         if score.gain >= CLEARLY:
-            scattering = replace(activate(state, effect, score), stated=True)  # a nuisance: no gate judges it
+            scattering = replace(activate(state, effect, score), declared=True)  # a nuisance: no gate judges it
             state = state.with_active((*state.active, scattering), noise_with(state, score))
     return state

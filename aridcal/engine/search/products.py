@@ -121,7 +121,7 @@ class Chunk:
 
     Attributes:
         effects: The candidates.
-        own: X'X, shape (C, w, w), left 0 far off the diagonal, as no two candidates are scored together; of a grid each
+        gram: X'X, shape (C, w, w), left 0 far off the diagonal, as no two candidates are scored together; of a grid each
             candidate's own, shape (C, candidates, d, d).
         pull: X'r, shape (C, w).
         across: X'Y for the columns Y of members of the design (None: the constants), shape (C, w, d) each.
@@ -131,7 +131,7 @@ class Chunk:
     """
 
     effects: tuple[Effect, ...]
-    own: np.ndarray
+    gram: np.ndarray
     pull: np.ndarray
     across: dict[Effect | None, np.ndarray]
     columns: Flat | None
@@ -141,8 +141,8 @@ class Chunk:
     def of_one(self, where: slice) -> np.ndarray:
         """X'X of one candidate, shape (C, d, d)."""
         if self.grid is None:
-            return self.own[:, where, where]
-        return np.asarray(self.own[:, where.start // (where.stop - where.start)])
+            return self.gram[:, where, where]
+        return np.asarray(self.gram[:, where.start // (where.stop - where.start)])
 
 
 class Products:
@@ -287,7 +287,7 @@ class Products:
         for chunk in chain(
             of_grids, (self.chunk(group, rows) for rows, members in others for group in grouped(members))
         ):
-            if self._room(chunk.own.size):
+            if self._room(chunk.gram.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
                 stored = chunk if room else replace(chunk, columns=None)
                 for effect, part in placed(chunk.effects):
@@ -341,7 +341,7 @@ class Products:
         functions = self._functions(bases)
         assert functions is not None
         grid = grid_of(*self._slots(tuple(effects.values())), functions)
-        return Chunk(tuple(effects), grid.own(), grid.pull(self.r), {}, None, grid.rows, grid)
+        return Chunk(tuple(effects), grid.gram(), grid.pull(self.r), {}, None, grid.rows, grid)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
         """True, and the numbers counted, if there is room for so many more."""

@@ -86,7 +86,7 @@ def _is_covered(effect: Effect, covered: set[tuple[str, str]]) -> bool:
 
 def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
     """Candidates for the place of an effect: steps are none of them for one of joints alone, where their scan takes long."""
-    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.own)
+    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.joints)
     return [e for e in library if e.at is None or timed or is_small(state.model, library)]
 
 

@@ -161,7 +161,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
     tested += effect.looked if effect.hinted else 0
     model = state.model
     if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
-        places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
+        places = {*model.joints, "world_base", "tip_target", *(where for where, _ in model.slots)}
         tested += len(state.fold) * len(places)
     p_value = min(1.0, score.p_value * tested)
 
@@ -195,7 +195,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
         )
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
-    if not set(sources(effect)) <= set(model.own):
+    if not set(sources(effect)) <= set(model.joints):
         robust = _p_value_over_time(state, candidate)
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")

@@ -45,7 +45,7 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
         choices: The candidates.
         progress: Called with the number of sets tried.
     """
-    if sum(not a.stated for a in state.active) < FEWEST:
+    if sum(not a.declared for a in state.active) < FEWEST:
         return state
 
     def evidence(of: State) -> float:
@@ -71,7 +71,7 @@ def _curves(state: State) -> int:
 
 def _distant_sets(state: State, library: Sequence[Effect]) -> Iterator[State]:
     """Sets that differ from a set by more than one effect."""
-    effects = [a.effect for a in state.active if not a.stated]
+    effects = [a.effect for a in state.active if not a.declared]
     acting = {_motion_and_covariates(e) for e in effects}
     alike = dict.fromkeys([*map(family, effects), *(family(e) for e in library if _motion_and_covariates(e) in acting)])
     for this_family in alike:
@@ -91,7 +91,7 @@ def _set_of_families(state: State, library: Sequence[Effect], evidence: Callable
     simple = [e for e in library if len(e.slots) == 1 and e.at is None and not e.smooth]
     families = dict.fromkeys(map(family, simple))
     parts = [part for this_family in families for part in _of_orders([e for e in simple if family(e) == this_family])]
-    best_set = _without(state, [a.effect for a in state.active if not a.stated])
+    best_set = _without(state, [a.effect for a in state.active if not a.declared])
     for _ in range(FAMILIES):
         trials = [_with_all(best_set, part) for part in parts]
         allowed = [trial for trial in trials if len(best_set.active) < len(trial.active) <= MOST_GROWN]

@@ -86,7 +86,7 @@ class Choices:
         """
         by_family: dict[Family, list[Effect]] = {}
         for a in active:
-            if not a.stated:
+            if not a.declared:
                 by_family.setdefault(family(a.effect), []).append(a.effect)
         return sum(self._cost_of(this_family, effects) for this_family, effects in by_family.items())
 

@@ -194,7 +194,7 @@ class State:
         products = self.model.products
         some = slice(None) if where is None else where
         cross = self.in_modes([values[:, some] for values in products.across(chunk, self.members)])
-        gram, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
+        gram, pull = chunk.gram if where is None else chunk.of_one(where), chunk.pull[:, some]
         if len(self.unused):
             unused_columns = [x[:, some] for x in products.rows_of(chunk, self.unused)]
             cross = cross - np.array([x.T @ a for x, a in zip(unused_columns, self.extra, strict=True)])
@@ -256,7 +256,7 @@ def _in_use(
     sizes = np.array([channel.size for channel in model.channels])
     there = model.present[layout.order[unused]].sum(axis=0) * sizes
     equations = every.minus(replace(accumulate(extra, right), count=there)) if len(unused) else every
-    count = np.maximum(model.share * equations.count - model.taken, 1.0)
+    count = np.maximum(model.share * equations.count - model.taken_up, 1.0)
     return unused, extra, replace(equations, count=count)
 
 

@@ -95,7 +95,7 @@ def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> S
     kinds = {e.kind for e in library}
     # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like the others.
     also = [e for e in state.effects if e.kind in kinds]
-    removable = {*library, *also} - {a.effect for a in state.active if a.stated}
+    removable = {*library, *also} - {a.effect for a in state.active if a.declared}
     lasting = list(dict.fromkeys(e for e in (*library, *also) if e.at is None or e in also))
     for _ in range(rounds):
         before = state.effects

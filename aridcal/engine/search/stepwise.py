@@ -99,7 +99,7 @@ def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
         progress: Called with the number of effects tried.
     """
     choices = Choices.of(state.effects, tested)
-    for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
+    for effect in progress.over([a.effect for a in state.active if not a.declared], "effects"):
         without = without_effect(state, effect)
         score = score_of(without, effect)
         keep = not judge(without, effect, score, choices).why
