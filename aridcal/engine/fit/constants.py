@@ -53,7 +53,7 @@ def frame_labels(where: str, frame: EndFrame, labels: tuple[str, ...], data: Dat
 
 
 def has_world(data: Dataset) -> bool:
-    """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
+    """True if a place or the vertical is known or measured in the world frame; otherwise world and base frame are one."""
     return data.instruments.world or any(block.traits.places or block.traits.level for block in data.blocks)
 
 

@@ -1,4 +1,4 @@
-"""Robust measures of size, which rows are outliers, and whether those lie together: what is wrong in one place is structure."""
+"""Robust sigmas, rows that are outliers, and whether outliers lie together: errors of one place are structure."""
 
 from __future__ import annotations
 

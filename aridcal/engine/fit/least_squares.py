@@ -103,7 +103,7 @@ UNKNOWN_NOISE = 1e-4
 
 @dataclass(frozen=True)
 class Convergence:
-    """Proof that a minimum was found.
+    """Figures of how well a minimum is reached.
 
     Attributes:
         steps: Gauss-Newton steps taken.
@@ -139,7 +139,7 @@ class Fit:
         residual: Measured minus predicted, scaled by the rows' relative sigmas, shape (N, m).
         candidates: All coefficients that were to be fitted.
         redundant: For each candidate that was dropped, the names of the coefficients that it is confounded with.
-        convergence: How well the minimum was found.
+        convergence: How well the minimum is reached.
         spent: Degrees of freedom used up: K, or less where priors shrink.
         numbers: Numbers measured in the rows in use.
         believed: Precision of a prior at zero, used where rows are few, shape (K, K): all zero without one.
@@ -352,8 +352,8 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
-        # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
-        # that makes barely separable must not push out what is well known.
+        # Kept columns stay ahead: near the solution a symmetry of the nominal robot is broken a little, and columns
+        # that this makes barely separable must not push out well-determined ones.
         subset = identifiable(R, order, kept)
         if sorted(subset.kept) == kept:
             break
@@ -461,9 +461,8 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):
-            gain = (
-                before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]
-            )  # regression of the constants on the coefficients
+            # Regression of the constants on the coefficients.
+            gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]
             size_of_means = float(np.trace(gain @ second @ gain.T))
             size_of_doubts = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
             sizes[g] = np.sqrt((BELIEVED * USUAL**2 + size_of_means + size_of_doubts) / (BELIEVED + T.shape[1]))

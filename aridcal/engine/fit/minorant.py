@@ -1,4 +1,4 @@
-r"""Variances where the fit of the columns is held as it is: what the restricted likelihood is at the least.
+r"""A lower bound of the restricted likelihood over the variances, the fit of the columns held.
 
 In :mod:`aridcal.engine.fit.variance_components` two parts of the likelihood cost much, as all rows share the columns. About
 variances :math:`\theta_0`, at which the columns leave :math:`e_i` of row i and their fit has the covariance :math:`C_i`

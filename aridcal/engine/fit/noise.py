@@ -1,4 +1,4 @@
-"""What repeats say of the noise, rows of one place of each other, and the rows' own scatter of a declared one."""
+"""Noise from repeats, correlation of rows of one place, and contradictions between declared noise and residuals."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def copies(rows: Dataset) -> np.ndarray:
     """
     turned = np.zeros((len(rows), 0)) if rows.rotation is None else rows.rotation.reshape(len(rows), 9)
     unseen = np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1)
-    # One after the other: where no configuration is repeated nothing else is looked at.
+    # Columns one after the other: where no configuration is repeated no other column is compared.
     columns = (
         column
         for part in (rows.repeats.configuration, rows.position, turned, unseen)

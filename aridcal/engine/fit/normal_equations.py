@@ -63,7 +63,7 @@ class NormalEquations:
         return np.asarray((self.Ar / (sigma**2)[:, None]).sum(axis=0))
 
     def squares_left(self, theta: np.ndarray) -> np.ndarray:
-        """Sum of squares that a solution leaves in each channel, shape (C,)."""
+        """Sum of squared residuals of each channel at theta, shape (C,)."""
         return np.maximum(self.rr - 2 * self.Ar @ theta + self.AA @ theta @ theta, 0.0)
 
     def spent(self, inverse: np.ndarray, sigma: np.ndarray) -> np.ndarray:

@@ -175,7 +175,7 @@ def _with_things(
 def _without_things(
     question: Problem, theta: np.ndarray, things: Eliminated | None
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """What :func:`eliminated` yields, the groups being solved."""
+    """Stretches as of :func:`eliminated`, for groups that are solved."""
     for block in question.blocks():
         part = question.pieces(theta, block)
         if things is None:

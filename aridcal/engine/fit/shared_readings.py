@@ -211,7 +211,7 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
     width = int((offset + size)[clump_of >= 0].max())
 
     def wide(values: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Columns of groups' unknowns, shape (n, m, U), as those of their clumps'."""
+        """Columns of groups' unknowns, shape (n, m, U), as columns of their clumps' unknowns."""
         columns = np.zeros((*values.shape[:2], width))
         row, slot = np.nonzero(unknown[of] & (of >= 0)[:, None])
         columns[row, :, offset[of[row]] + slot] = values[row, :, slot]

@@ -267,7 +267,9 @@ def _maximum(
     score, information = derivatives(scatter, here, free)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
-        step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])  # of none, where data are exact
+        step[moving] = shortest(
+            information[np.ix_(moving, moving)], score[moving]
+        )  # no component moves where data are exact
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))

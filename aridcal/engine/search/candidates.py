@@ -210,8 +210,8 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
     """Orders at which the periodogram of the rows' pulls has its highest peaks, the highest first."""
     step = np.pi / (2 * np.ptp(q))
     orders = np.arange(1, SCANNED + 1) * step
-    # Order a + b is that of a times that of b: a table of a few dozen waves makes all of them.
-    # They are powers of the first: products cost a fifth of so many sines and cosines.
+    # The wave of order a + b is the product of those of a and b: a table of a few dozen waves makes all, and its waves
+    # are powers of the first. Products cost a fifth of sines and cosines.
     fine = np.cumprod(np.tile(np.exp(1j * step * q), (TABLE, 1)), axis=0)
     coarse = np.ones((len(range(0, SCANNED, TABLE)), len(q)), dtype=complex)
     np.cumprod(np.tile(fine[-1], (len(coarse) - 1, 1)), axis=0, out=coarse[1:])

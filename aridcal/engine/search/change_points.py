@@ -346,7 +346,7 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
     fade = np.exp(-1.0 / length)
     endless = np.isinf(length)
     long_run = white * wander
-    # A walk of so much a row; an autoregression that has so much variance in the long run.
+    # Variance of each row's step: a walk grows by it; an autoregression of it has ``long_run`` in the long run.
     innovation_variance = np.where(endless, long_run, long_run * (1.0 - fade**2))
     P = np.where(endless, 0.0, long_run)
     x = np.zeros((len(fade), 3))

@@ -105,7 +105,7 @@ def mirrored(table: Mapping[str, np.ndarray], effect: Effect) -> list[Effect]:
         if name in first.of or is_load(name) or is_sight(name) or is_label(name) or np.ptp(column) == 0.0:
             continue
         if name == ROW_ORDER and (first.form == "linear" or "time" in table):
-            continue  # future rows have no such order, and it correlates with the time
+            continue  # rows to come have no such order, and it correlates with the time
         basis = _basis_over(name, column, values, first.form)
         if abs(np.corrcoef(evaluate(basis, table), values)[0, 1]) > SIMILAR and not np.array_equal(column, reading):
             coefficients = tuple(replace(c, basis=basis) for c in effect.coefficients)

@@ -334,7 +334,7 @@ def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly:
     largest = _largest(scale)
     diagonal, square = diagonal / largest, square / largest**2
     faint = 1.0 / TAUS
-    F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
+    F = np.maximum(faint + diagonal[:, -1:], faint)  # the bound holds but for rounding
     product = F.copy()
     volume = np.full(F.shape, d * np.log(TAUS))
     ratio_above = np.empty_like(F)
@@ -348,7 +348,7 @@ def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly:
             volume += np.log(product)
             product[:] = 1.0
     volume += np.log(product)
-    # In units of the largest mode b has lost its square, explained squares one of them.
+    # In units of the largest mode b's square is divided by its square, explained squares by the mode itself.
     twice = profiled(square[:, :1] * largest / F, total, count) - volume
     top = np.argmax(twice, axis=1)
     v = 1.0 / TAUS[top]
@@ -396,7 +396,7 @@ def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np
         _, diagonal[k], beside[k], _, _ = dsytrd(matrix.T, lower=1, overwrite_a=1)
         if not roughly and d > 1:
             best[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0][-1]
-    # No eigenvalue is smaller than every number on the diagonal, but where rounding has it so.
+    # The largest eigenvalue is no smaller than any number on the diagonal, but for rounding.
     return diagonal[:, 1:], beside**2, np.maximum(best, diagonal[:, 1:].max(axis=1))
 
 

@@ -257,7 +257,7 @@ class _Inquiry:
             return max(((self._height_with(maximum, k, other), other) for other in shapes), key=itemgetter(0))
 
         height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
-        for step in STEPS if shape.free else ():  # else no number of it was taken from the residual
+        for step in STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
             while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + SETTLED:
                 height, shape = better
         reshaped = self.with_shape(k, shape)

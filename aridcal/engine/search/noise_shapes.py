@@ -220,7 +220,7 @@ def _shapes_of_channel(
 
 def _extreme_directions(S: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit vectors along which S is least and most, in units of K, each with its largest number positive."""
-    # eigh of both at once; where nothing is measured along some axis K is singular, and a ridge makes it none.
+    # eigh of both at once; where nothing is measured along some axis K is singular without a ridge.
     ridge = max(1e-9 * float(np.trace(K)), TINY)
     vectors = eigh(S, K + ridge * np.eye(3))[1].T
     vectors = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

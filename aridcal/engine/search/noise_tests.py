@@ -230,7 +230,7 @@ def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
 def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike?"""
     rows, others = _nearest(readings)
-    apart = rows != others  # of rows that are all alike, the row itself need not be the first
+    apart = rows != others  # among equal rows the nearest need not be the row itself
     return _correlation(
         "neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart]
     )

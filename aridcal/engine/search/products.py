@@ -45,7 +45,7 @@ LIMBS = 16
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
-# What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
+# A member of the design: an effect (None: the constants) and the modes that are its unknowns, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
@@ -169,7 +169,7 @@ class Products:
     def made_by(self, source: Source) -> Products:
         """These products, columns now made by a model that has further bases."""
         self._source = source
-        self._local.clear()  # known by numbers, which may mean other functions there
+        self._local.clear()  # keys are numbers of functions, which are others there
         self._moved.clear()
         self._moving.clear()
         return self

@@ -215,7 +215,7 @@ def _strongest(pulls: Sequence[_Pull], covariate: str, values: np.ndarray) -> Tr
     chances, sliced = [], {}
     for p in pulls:
         key = (p.weight > 0).tobytes()
-        if key not in sliced:  # of all motions together there are few sets of rows
+        if key not in sliced:  # motions share few sets of rows
             sliced[key] = _sliced(p, values)
         chances.append(_p_value(_means(p, values, p.after, sliced[key])))
     return _trace(pulls[int(np.argmin(chances))], covariate, values)
@@ -275,7 +275,7 @@ def _p_value(m: _Means) -> float:
 
 
 def _rms_beyond_noise(m: _Means) -> float:
-    """RMS of the means beyond what noise makes of them."""
+    """RMS of the means, less the part by noise."""
     weight = 1.0 / m.std**2
     return float(np.sqrt(max(weight @ m.mean**2 - len(weight), 0.0) / weight.sum()))
 
@@ -303,7 +303,7 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
 
 def _order_of_time(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
+    # Each number of the rows that measure it, one after the other: a missing number is no change of sign.
     series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]
     series = [r for r in series if len(r) > 1]
     lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]

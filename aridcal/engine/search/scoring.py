@@ -160,7 +160,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
     chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
     tested += effect.looked if effect.hinted else 0
     model = state.model
-    if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
+    if effect.at is not None:  # it is the best of all rows at all places: both frames, each joint and each thing
         places = {*model.joints, "world_base", "tip_target", *(where for where, _ in model.slots)}
         tested += len(state.fold) * len(places)
     p_value = min(1.0, score.p_value * tested)

@@ -28,7 +28,7 @@ from aridcal.engine.search.products import grouped, placed
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
-# What a candidate is scored by: M, s, and squared lengths before projection.
+# Sums of a candidate from which its score follows: M, s, and squared lengths before projection.
 Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 

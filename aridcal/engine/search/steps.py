@@ -55,7 +55,7 @@ def grown(
         if small and len(state.active) > 1:
             state = tidied(state, choices, 1, progress)
         if frozenset(state.effects) in sets:
-            break  # what is added is taken out again: this goes round in circles
+            break  # effects are added and taken out again in circles
         sets.add(frozenset(state.effects))
     return state, tuple(rejected)
 
