@@ -49,11 +49,11 @@ def made_up(seed: int, n: int = 300) -> LinearModel:
         thing=None,
         off=None,
         present=np.ones((n, 2), dtype=bool),
-        taken=np.zeros(2),
+        taken_up=np.zeros(2),
         share=1.0,
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
-        own=("j1",),
+        joints=("j1",),
         table={"j1": rng.uniform(-2, 2, n), ROW_ORDER: np.arange(n) + 2.0, "time": 7.0 * rng.permutation(n)},
     )
 

@@ -139,11 +139,11 @@ def test_an_effect_is_scored_by_all_that_it_moves(channels: Channels) -> None:
         thing=None,
         off=None,
         present=np.ones((n, len(channels)), dtype=bool),
-        taken=np.zeros(len(channels)),
+        taken_up=np.zeros(len(channels)),
         share=1.0,
         run=np.arange(n) * 24 // n,
         fold=rng.integers(0, 5, n),
-        own=("j1",),
+        joints=("j1",),
         table={"warmth": warmth},
     )
     state = solve_state(model, (), np.ones(len(channels)), np.ones(n, dtype=bool))

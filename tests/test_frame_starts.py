@@ -11,7 +11,7 @@ import pytest
 import robots
 from scipy.optimize import minimize
 
-from aridcal.engine.fit.frame_starts import FrameStart, Posed, _descended, _lever_cost, start_frames
+from aridcal.engine.fit.frame_starts import FrameStart, Posed, _descend, _lever_cost, start_frames
 from aridcal.engine.fit.least_squares import fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
@@ -94,7 +94,7 @@ def test_descents_end_no_higher_than_those_of_scipy(tips: int) -> None:
     cost = _lever_cost(Posed(R, p, None, truth.measured.position, world, tip), tips)
     for _ in range(10):
         start = rng.uniform(-2.0, 2.0, 3 * tips)
-        value, place = _descended(cost, start, 1.0)
+        value, place = _descend(cost, start, 1.0)
         peer = minimize(cost, start, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
         again = minimize(cost, place, jac=True, method="L-BFGS-B", options={"ftol": 1e-15, "gtol": 1e-12})
         assert value == cost(place)[0] <= peer.fun + 1e-9 or np.linalg.norm(place - peer.x) > 1e-2  # or another minimum

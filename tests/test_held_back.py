@@ -33,7 +33,7 @@ def test_squares_of_held_back_rows_are_those_of_fits_without_them() -> None:
     """By the second road: each block really left out, and the rest fitted again."""
     _, geometric, truth = fits(40, 1e-3)
     data = truth.measured
-    squares = loop._squares(geometric, data)
+    squares = loop._held_back_squares(geometric, data)
     number = np.random.default_rng(2).permutation(int(data.repeats.configuration.max()) + 1)
     block = number[data.repeats.configuration] % loop.BLOCKS
     asked = problem(geometric.model, data)

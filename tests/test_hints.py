@@ -45,11 +45,11 @@ def made_up(rng: np.random.Generator, n: int = 300, noise: np.ndarray | None = N
         thing=None,
         off=None,
         present=np.ones((n, 2), dtype=bool),
-        taken=np.zeros(2),
+        taken_up=np.zeros(2),
         share=1.0,
         run=run,
         fold=rng.integers(0, 5, n),
-        own=("j1", "j2"),
+        joints=("j1", "j2"),
         table=table,
     )
 

@@ -26,7 +26,7 @@ from aridcal.engine.search.noise_tests import (
     View,
     _change,
     _neighbours,
-    _of_one_thing,
+    _things,
     by_chance,
     clues,
     stretches,
@@ -242,11 +242,11 @@ def of_markers(n: int) -> Dataset:
 def test_a_marker_at_a_wrong_place_is_named_and_noise_names_none() -> None:
     """Long tails are no marker; by chance one of 1,400 campaigns would name one."""
     rows = of_markers(180)
-    tails = [_of_one_thing(rows, np.random.default_rng(seed).standard_t(4, (180, 2)))[0] for seed in range(500)]
+    tails = [_things(rows, np.random.default_rng(seed).standard_t(4, (180, 2)))[0] for seed in range(500)]
     assert sum(clue.tells for clue in tails) <= 3
     r = np.random.default_rng(0).standard_normal((180, 2))
     r[4::9] *= 2.5
-    (found,) = _of_one_thing(rows, r)
+    (found,) = _things(rows, r)
     assert found.tells and "marker 4" in found.what
 
 

@@ -11,7 +11,7 @@ from scipy.stats import kstest
 
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.residual_trends import Traces, _order, trace
+from aridcal.engine.search.residual_trends import Traces, _order_of_time, trace
 
 SIGMA = 1e-4
 
@@ -142,5 +142,5 @@ def test_what_a_row_does_not_measure_does_not_change_its_sign(machine: tuple[Fit
     for seed in range(60):
         r = np.random.default_rng(seed).normal(size=(len(rows), 6))
         r[::2, :3], r[1::2, 3:] = np.nan, np.nan
-        chances.append(_order(r, rows).p_value)
+        chances.append(_order_of_time(r, rows).p_value)
     assert kstest(chances, "uniform").pvalue > 1e-3

@@ -220,7 +220,7 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
     np.testing.assert_allclose(first.across(others), [x.T @ y for x, y in zip(one, others, strict=True)], atol=1e-12)
     np.testing.assert_allclose(first.across_grid(second), [x.T @ y for x, y in zip(one, two, strict=True)], atol=1e-12)
     np.testing.assert_allclose(first.pull(right), [x.T @ r for x, r in zip(one, right, strict=True)], atol=1e-12)
-    for x, own in zip(one, first.own(), strict=True):
+    for x, own in zip(one, first.gram(), strict=True):
         d = values.shape[1]
         blocks = (x.T @ x).reshape(4, d, 4, d)
         np.testing.assert_allclose(own, blocks[np.arange(4), :, np.arange(4)], atol=1e-12)
@@ -232,7 +232,7 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
             atol=1e-12,
         )
         np.testing.assert_allclose(k.across(others), [x.T @ y for x, y in zip(apart, others, strict=True)], atol=1e-12)
-        assert k.own().shape[1] == k.slots[0].shape[2] and k.pull(right).shape[1] == apart[0].shape[1]
+        assert k.gram().shape[1] == k.slots[0].shape[2] and k.pull(right).shape[1] == apart[0].shape[1]
     parts = [first.part(a, b).across_grid(second.part(a, b)) for a, b in ((0, 17), (17, 40), (40, n))]
     np.testing.assert_allclose(np.sum(parts, axis=0), first.across_grid(second), atol=1e-12)
 

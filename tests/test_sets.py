@@ -119,11 +119,11 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
 
     def a_set(count: int) -> SimpleNamespace:
         effects = [SimpleNamespace(smooth=k < count) for k in range(8)]
-        return SimpleNamespace(active=[SimpleNamespace(effect=e, stated=False) for e in effects], used=None)
+        return SimpleNamespace(active=[SimpleNamespace(effect=e, declared=False) for e in effects], used=None)
 
     mine, other = a_set(3), a_set(curves)
-    monkeypatch.setattr(set_exchange, "_further_away", lambda *_: iter(()))
-    monkeypatch.setattr(set_exchange, "_of_families", lambda *_: other)
+    monkeypatch.setattr(set_exchange, "_distant_sets", lambda *_: iter(()))
+    monkeypatch.setattr(set_exchange, "_set_of_families", lambda *_: other)
     monkeypatch.setattr(set_exchange, "grown", lambda state, *_: (state, ()))
     monkeypatch.setattr(set_exchange, "tidied", lambda state, *_: state)
     monkeypatch.setattr(set_exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
@@ -143,8 +143,8 @@ def test_an_arm_whose_gears_all_err_is_told_as_that(tmp_path: Path, monkeypatch:
     _, p = model.poses(np.concatenate([truth.theta, values]), model.rows(truth.readings))
     rows[["x", "y", "z"]] = p + 5e-5 * rng.standard_normal(p.shape)
     made: list[State] = []
-    of_families = set_exchange._of_families
-    monkeypatch.setattr(set_exchange, "_of_families", lambda *asked: made.append(of_families(*asked)) or made[-1])
+    of_families = set_exchange._set_of_families
+    monkeypatch.setattr(set_exchange, "_set_of_families", lambda *asked: made.append(of_families(*asked)) or made[-1])
     cal = aridcal.calibrate(write_campaign(tmp_path, truth, rows, diagnosis={"enabled": True}))
     # Made of nothing but whole families, with no step before, it is that set, too.
     assert {a.effect.where for a in made[-1].active if a.effect.kind == "joint_harmonic"} == set(robot.names)

@@ -107,7 +107,7 @@ def test_the_bound_touches_the_likelihood_where_it_is_made_and_lies_below_it_els
     gap = dense_likelihood(rows, at) - below(at)
     others = at * np.exp(np.random.default_rng(1).uniform(-2.0, 2.0, (50, 4)))
     assert all(below(other) + gap < dense_likelihood(rows, other) for other in others)
-    top = minorant.Bound(rows.blocks, rows.stated, M).best(at, np.ones(4, dtype=bool), np.zeros(4))
+    top = minorant.Bound(rows.blocks, rows.fixed, M).best(at, np.ones(4, dtype=bool), np.zeros(4))
     assert dense_likelihood(rows, top) > dense_likelihood(rows, at)
     assert all(below(top) >= below(top * np.exp(step)) for step in np.vstack([np.eye(4), -np.eye(4)]) * 0.05)
 
@@ -192,7 +192,7 @@ def test_the_last_step_that_is_not_looked_at_ends_where_it_says() -> None:
             told.append(found)
         for one in told:
             best = settled(rows, one)
-            best = settled(rows, replace(best, left=1.0))  # a step further
+            best = settled(rows, replace(best, error=1.0))  # a step further
             assert one.log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
             assert place(rows, one.variance).log_likelihood == pytest.approx(best.log_likelihood, abs=0.1)
             last = settled(rows, one)

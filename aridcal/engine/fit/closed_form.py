@@ -12,7 +12,7 @@ from aridcal.engine.rows.dataset import Dataset
 
 
 def closed_form_starts(fit: Fit, rows: Dataset) -> list[np.ndarray]:
-    """Coefficients that a closed form gives for the link parameters among those of a fit, shape (K,) each; maybe none.
+    """Starts of a fit with link parameters from a closed form, shape (K,) each; none where the robot has no such form.
 
     Args:
         fit: K coefficients; the others stay as they are.

@@ -1,4 +1,4 @@
-"""Which constants of a robot and its frames are asked for, and what was found of them as a URDF."""
+"""Which constants of a robot and its frames are to be identified, and a URDF with their identified values."""
 
 from __future__ import annotations
 
@@ -18,25 +18,27 @@ from aridcal.system.errors import RobotError
 
 
 def frame_coefficients(question: Question, labels: tuple[str, ...], data: Dataset) -> tuple[Coefficient, ...]:
-    """Unknowns of the frames that are to be identified: world_base first, then what cameras and boards are unknown in."""
-    found = []
+    """Unknowns of the frames that are to be identified: world_base, tip_target, then those of cameras and boards."""
+    unknowns = []
     for where, frame in (("world_base", question.world_base), ("tip_target", question.tip_target)):
         if frame.unknown and (where == "tip_target" or has_world(data)):
-            own = frame_labels(where, frame, labels, data)
-            held = {name for name, target in question.targets.items() if not target.unknown}
-            own = own if where == "world_base" else tuple(s for s in own if s != TIP and s not in held)
-            found += [Coefficient(where, c, station=s) for s in own for c in FRAME_COMPONENTS]
+            frames = frame_labels(where, frame, labels, data)
+            known_targets = {name for name, target in question.targets.items() if not target.unknown}
+            frames = (
+                frames if where == "world_base" else tuple(s for s in frames if s != TIP and s not in known_targets)
+            )
+            unknowns += [Coefficient(where, c, station=s) for s in frames for c in FRAME_COMPONENTS]
     if not measures_target(data):
-        found = [c for c in found if c.where != "tip_target"]
+        unknowns = [c for c in unknowns if c.where != "tip_target"]
     for things in data.instruments.things.values():
         if not things.role.many:
             pairs = np.argwhere(things.free).tolist()
-            found += [Coefficient(things.names[k], things.role.components[c]) for k, c in pairs]
-    return tuple(found)
+            unknowns += [Coefficient(things.names[k], things.role.components[c]) for k, c in pairs]
+    return tuple(unknowns)
 
 
 def asked_constants(question: Question, robot: Robot, data: Dataset) -> tuple[Coefficient, ...]:
-    """All that is to be identified: unknown frames, then the robot's constants."""
+    """All constants that are to be identified: unknown frames, then the robot's."""
     labels = station_labels(question, data)
     return frame_coefficients(question, labels, data) + constants(robot, question.constants)
 
@@ -51,7 +53,7 @@ def frame_labels(where: str, frame: EndFrame, labels: tuple[str, ...], data: Dat
 
 
 def has_world(data: Dataset) -> bool:
-    """True if something is known or measured in the world frame, its vertical at least; otherwise that is the base frame."""
+    """True if a place or the vertical is known or measured in the world frame; otherwise world and base frame are one."""
     return data.instruments.world or any(block.traits.places or block.traits.level for block in data.blocks)
 
 
@@ -60,56 +62,59 @@ def measures_target(data: Dataset) -> bool:
     return not all(block.traits.bare for block in data.blocks)
 
 
-def constants(robot: Robot, which: str) -> tuple[Coefficient, ...]:
-    """Candidate constants of a parameter set, the ones to keep before others first (FORMATS section 4)."""
-    if which == "none":
+def constants(robot: Robot, parameter_set: str) -> tuple[Coefficient, ...]:
+    """Candidate constants of a parameter set, those to be kept before others first (FORMATS section 4)."""
+    if parameter_set == "none":
         return ()
-    if which == "full":
-        found = []
+    if parameter_set == "full":
+        coefficients = []
         for joint in robot.joints:
             along = {c: abs(float(joint.axis[k % 3])) for k, c in enumerate(FRAME_COMPONENTS)}
             ordered = sorted(FRAME_COMPONENTS, key=lambda c: -round(along[c], 9))
-            found += [Coefficient(joint.name, c) for c in ordered]
+            coefficients += [Coefficient(joint.name, c) for c in ordered]
         ends = dict.fromkeys(limb.tip_joint for limb in robot.limbs if limb.tip_joint)
-        return (*found, *(Coefficient(end, c) for end in ends for c in FRAME_COMPONENTS))
+        return (*coefficients, *(Coefficient(end, c) for end in ends for c in FRAME_COMPONENTS))
     if robot.others:
         raise RobotError(
-            f"parameters.set: {which}: the report's link parameters are those of one chain, and rows take paths to "
+            f"parameters.set: {parameter_set}: the report's link parameters are those of one chain, and rows take paths to "
             f"{', '.join(limb.tip for limb in robot.limbs)}. Write `full`"
         )
     if robot.climbs:
         raise RobotError(
-            f"parameters.set: {which}: the report's link parameters are those of a chain from its base outwards, and "
+            f"parameters.set: {parameter_set}: the report's link parameters are those of a chain from its base outwards, and "
             f"joints move {robot.base!r} here. Write `full`"
         )
-    found = []
+    coefficients = []
     for joint, link in zip(robot.joints, doty_links(robot), strict=True):
         if link.next_origin is None:
             continue  # nothing in the URDF could hold it: it is the target's frame
-        own = ["d"] if joint.kind == "prismatic" else []
-        own += ["a", "alpha"] if link.singular else ["theta", "beta", "a", "alpha"]
-        beyond = ["yaw", "pitch"] if link.singular else []
-        if which == "angles":
-            own, beyond = [c for c in own if c in ("beta", "alpha")], [c for c in beyond if c == "pitch"]
-        found += [Coefficient(joint.name, c) for c in own]
-        found += [Coefficient(link.next_origin, c) for c in beyond]
-    return tuple(found)
+        components = ["d"] if joint.kind == "prismatic" else []
+        components += ["a", "alpha"] if link.singular else ["theta", "beta", "a", "alpha"]
+        next_components = ["yaw", "pitch"] if link.singular else []
+        if parameter_set == "angles":
+            components, next_components = (
+                [c for c in components if c in ("beta", "alpha")],
+                [c for c in next_components if c == "pitch"],
+            )
+        coefficients += [Coefficient(joint.name, c) for c in components]
+        coefficients += [Coefficient(link.next_origin, c) for c in next_components]
+    return tuple(coefficients)
 
 
-def unused_links(robot: Robot, which: str) -> list[str]:
+def unused_links(robot: Robot, parameter_set: str) -> list[str]:
     """Sentences on where Doty's link model is singular or has no place in the URDF."""
-    if which not in ("doty", "angles"):
+    if parameter_set not in ("doty", "angles"):
         return []
-    said = []
+    sentences = []
     for link in doty_links(robot):
         if link.next_origin is None:
-            said.append(f"{link.joint} ends in the tip link itself: its link parameters are those of tip_target")
+            sentences.append(f"{link.joint} ends in the tip link itself: its link parameters are those of tip_target")
         elif link.singular:
-            said.append(
+            sentences.append(
                 f"{link.joint} and the next axis meet (a < 1 mm), where theta and beta are undefined: "
                 f"{link.next_origin}.yaw and .pitch take their place"
             )
-    return said
+    return sentences
 
 
 def station_labels(question: Question, data: Dataset) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ coefficients of the model. For weights w and noise :math:`\sigma_c` of channel c
 .. math:: H_g = \sum_c B_c^T B_c / \sigma_c^2 + T_g, \qquad C_g = \sum_c B_c^T J_c / \sigma_c^2, \qquad
           b_g = \sum_c B_c^T r_c / \sigma_c^2 + t_g
 
-with T and t of what is known of the group beforehand. Its unknowns follow any step of the coefficients,
+with T and t from prior knowledge of the group. Its unknowns follow any step of the coefficients,
 
 .. math:: \lambda_g = H_g^{-1} (b_g - C_g \theta) = y_g - X_g \theta
 
@@ -38,11 +38,11 @@ class Groups:
 
     Attributes:
         row: Group of each row, shape (N,); -1 for none.
-        role: Number of the role of its thing, shape (N,); -1 for none.
+        role: Number of the role of the row's thing, shape (N,); -1 for none.
         thing: Number of that thing, shape (N,).
         roles: Names of the roles.
         group: Group of each thing, shape (L,) by role; -1 where nothing of it is unknown.
-        slot: Which of its group's unknowns each component is, shape (L, u) by role; -1 where it is known.
+        slot: Which of its group's unknowns each component of a thing is, shape (L, u) by role; -1 where it is known.
         unknown: Which of the U unknowns each group has, shape (G, U) bool.
     """
 
@@ -55,7 +55,7 @@ class Groups:
     unknown: np.ndarray
 
     def select(self, rows: np.ndarray) -> Groups:
-        """Those of some of the rows."""
+        """The groups with some of the rows alone."""
         return replace(self, row=self.row[rows], role=self.role[rows], thing=self.thing[rows])
 
     def columns(self, by_thing: np.ndarray, rows: slice | np.ndarray) -> np.ndarray:
@@ -63,25 +63,25 @@ class Groups:
         B = np.zeros((*by_thing.shape[:2], self.unknown.shape[1]))
         role, thing = self.role[rows], self.thing[rows]
         for number, name in enumerate(self.roles):
-            own = np.flatnonzero(role == number)
-            if name not in self.slot or not len(own):
+            members = np.flatnonzero(role == number)
+            if name not in self.slot or not len(members):
                 continue
-            slots = self.slot[name][thing[own]]
+            slots = self.slot[name][thing[members]]
             for component in range(slots.shape[1]):
-                known = slots[:, component] < 0
-                hit = own[~known]
-                B[hit, :, slots[~known, component]] = by_thing[hit, :, component]
+                fixed = slots[:, component] < 0
+                rows_here = members[~fixed]
+                B[rows_here, :, slots[~fixed, component]] = by_thing[rows_here, :, component]
         return B
 
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of groups beforehand, as rows of unit noise: of ties, and of what has a stated uncertainty.
+    """Prior knowledge of groups as T rows of unit noise: ties, and places with a declared uncertainty.
 
     Attributes:
-        group: Of each, shape (T,).
-        by: Its columns, shape (T, U).
-        left: Stated minus present value, in sigmas, shape (T,).
+        group: Group of each row, shape (T,).
+        by: Columns of the group's unknowns, shape (T, U).
+        left: Declared minus present value, in sigmas, shape (T,).
     """
 
     group: np.ndarray
@@ -105,19 +105,21 @@ class Sums:
 
     def add(self, group: np.ndarray, B: np.ndarray, J: np.ndarray, r: np.ndarray, channels: Channels) -> None:
         """Add rows of groups (n,), columns (n, m, U) and (n, m, K) and residuals (n, m), all times the root of their weight."""
-        own = np.flatnonzero(group >= 0)
-        if not len(own):
+        members = np.flatnonzero(group >= 0)
+        if not len(members):
             return
-        places, number = np.unique(group[own], return_inverse=True)
-        gather = coo_array((np.ones(len(own)), (number, np.arange(len(own)))), shape=(len(places), len(own))).tocsr()
+        places, number = np.unique(group[members], return_inverse=True)
+        gather = coo_array(
+            (np.ones(len(members)), (number, np.arange(len(members)))), shape=(len(places), len(members))
+        ).tocsr()
         for c, part in enumerate(columns(channels)):
-            b, j, e = B[own][:, part], J[own][:, part], r[own][:, part]
+            b, j, e = B[members][:, part], J[members][:, part], r[members][:, part]
             for total, each in (
                 (self.BB, np.einsum("nmu,nmv->nuv", b, b)),
                 (self.BJ, b.transpose(0, 2, 1) @ j),
                 (self.Br, np.einsum("nmu,nm->nu", b, e)),
             ):
-                total[c][places] += (gather @ each.reshape(len(own), -1)).reshape(len(places), *each.shape[1:])
+                total[c][places] += (gather @ each.reshape(len(members), -1)).reshape(len(places), *each.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -128,8 +130,8 @@ class Eliminated:
         X: How their unknowns follow the coefficients, shape (G, U, K).
         y: Their step where the coefficients stay, shape (G, U).
         inverse: H^-1, shape (G, U, U).
-        squares: Of what is known of them and left, in sigmas.
-        rank: Unknowns that the rows and what is known tell, shape (G,).
+        squares: Sum of squares of the prior knowledge, in sigmas.
+        rank: Unknowns that rows and prior knowledge determine, shape (G,).
     """
 
     X: np.ndarray
@@ -139,17 +141,17 @@ class Eliminated:
     rank: np.ndarray
 
     def rows(self, group: np.ndarray, B: np.ndarray, J: np.ndarray, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (n, m) and columns (n, m, K) of rows less what their groups take up."""
-        own = group >= 0
+        """Residuals (n, m) and columns (n, m, K) of rows, less the part that their groups take up."""
+        grouped = group >= 0
         r, J = r.copy(), J.copy()
-        J[own] -= B[own] @ self.X[group[own]]
-        r[own] -= np.einsum("nmu,nu->nm", B[own], self.y[group[own]])
+        J[grouped] -= B[grouped] @ self.X[group[grouped]]
+        r[grouped] -= np.einsum("nmu,nu->nm", B[grouped], self.y[group[grouped]])
         return r, J
 
 
 @dataclass(frozen=True)
 class Projector:
-    """Takes off columns what the unknowns of groups take up: (1 - B H^-1 B'W) of N rows.
+    """Takes the part that unknowns of groups take up off columns: (1 - B H^-1 B'W) of N rows.
 
     Attributes:
         B: Columns of the rows' own group, shape (N, m, U).
@@ -162,36 +164,40 @@ class Projector:
     pull: np.ndarray
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
-        """Columns, shape (N, m, d), less what groups take up."""
-        own = np.flatnonzero(self.group >= 0)
-        number = self.group[own]
-        gather = coo_array((np.ones(len(own)), (number, np.arange(len(own)))), shape=(number.max() + 1, len(own)))
-        each = self.pull[own] @ values[own]
-        taken = (gather.tocsr() @ each.reshape(len(own), -1)).reshape(-1, *each.shape[1:])
-        left = values.copy()
-        left[own] -= self.B[own] @ taken[number]
-        return left
+        """Columns, shape (N, m, d), less the part that groups take up."""
+        grouped = np.flatnonzero(self.group >= 0)
+        number = self.group[grouped]
+        gather = coo_array(
+            (np.ones(len(grouped)), (number, np.arange(len(grouped)))), shape=(number.max() + 1, len(grouped))
+        )
+        each = self.pull[grouped] @ values[grouped]
+        steps = (gather.tocsr() @ each.reshape(len(grouped), -1)).reshape(-1, *each.shape[1:])
+        remainder = values.copy()
+        remainder[grouped] -= self.B[grouped] @ steps[number]
+        return remainder
 
 
-def projector(B: np.ndarray, group: np.ndarray, found: Eliminated, weight: np.ndarray, sigma: np.ndarray) -> Projector:
-    """What takes groups off columns.
+def projector(
+    B: np.ndarray, group: np.ndarray, elimination: Eliminated, weight: np.ndarray, sigma: np.ndarray
+) -> Projector:
+    """The projector that takes groups off columns.
 
     Args:
         B: Of all rows, scaled, shape (N, m, U).
         group: Of each row, shape (N,).
-        found: The groups solved.
+        elimination: The groups solved.
         weight: Of each row, shape (N,).
         sigma: Noise of each number of a row, shape (m,).
     """
     pull = np.zeros((len(B), B.shape[2], B.shape[1]))
-    own = group >= 0
-    weighed = B[own] * (weight[own, None] / sigma**2)[:, :, None]
-    pull[own] = found.inverse[group[own]] @ weighed.transpose(0, 2, 1)
+    grouped = group >= 0
+    weighed = B[grouped] * (weight[grouped, None] / sigma**2)[:, :, None]
+    pull[grouped] = elimination.inverse[group[grouped]] @ weighed.transpose(0, 2, 1)
     return Projector(B, group, pull)
 
 
 def groups(measured: Measured) -> Groups | None:
-    """The groups of all things of which there may be many; None where nothing is unknown of any."""
+    """Groups of the things of roles that may have many; None where none of these things has an unknown."""
     things = {name: t for name, t in measured.instruments.things.items() if t.role.many}
     first = dict(zip(things, np.cumsum([0, *(len(t) for t in things.values())]).tolist(), strict=False))
     count = sum(len(t) for t in things.values())
@@ -205,85 +211,85 @@ def groups(measured: Measured) -> Groups | None:
     ends = np.array(pairs, dtype=int).reshape(-1, 2)
     joined = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(count, count))
     _, label = connected_components(joined, directed=False)
-    used = np.zeros(len(np.unique(label)), dtype=int)
+    counts = np.zeros(len(np.unique(label)), dtype=int)
     group, slot = {}, {}
     for name, t in things.items():
         group[name] = label[first[name] : first[name] + len(t)].copy()
         slot[name] = np.full(t.free.shape, -1)
         for k in np.flatnonzero(t.free.any(axis=1)).tolist():
-            own = np.flatnonzero(t.free[k])
-            slot[name][k, own] = used[group[name][k]] + np.arange(len(own))
-            used[group[name][k]] += len(own)
+            components = np.flatnonzero(t.free[k])
+            slot[name][k, components] = counts[group[name][k]] + np.arange(len(components))
+            counts[group[name][k]] += len(components)
         group[name][~t.free.any(axis=1)] = -1
     role, thing = measured.many()
     row = np.full(len(measured), -1)
     for number, name in enumerate(measured.roles):
-        own = role == number
+        of_role = role == number
         if name in group:
-            row[own] = group[name][thing[own]]
-    unknown = np.arange(used.max(initial=0)) < used[:, None]
+            row[of_role] = group[name][thing[of_role]]
+    unknown = np.arange(counts.max(initial=0)) < counts[:, None]
     return Groups(row, role, thing, measured.roles, group, slot, unknown)
 
 
-def known(of: Groups, instruments: Instruments, states: States) -> Known:
-    """Ties and stated uncertainties of things, about where these are."""
+def known(groups: Groups, instruments: Instruments, states: States) -> Known:
+    """Ties and declared uncertainties of things as rows, linearised where the things are."""
     rows: list[tuple[int, np.ndarray, float]] = []
-    width = of.unknown.shape[1]
+    width = groups.unknown.shape[1]
     for tie in instruments.ties:
-        row = _tied(tie, of, instruments, states, width)
+        row = _row_of_tie(tie, groups, instruments, states, width)
         if row is not None:
             rows.append(row)
-    for name, slot in of.slot.items():
+    for name, slot in groups.slot.items():
         things = instruments.things[name]
         for k, component in np.argwhere((slot >= 0) & np.isfinite(things.std)).tolist():
             std = things.std[k, component]
             by = np.zeros(width)
             by[slot[k, component]] = 1.0 / std
-            left = (things.start[k, component] - states[name][k, component]) / std
-            rows.append((int(of.group[name][k]), by, float(left)))
+            deviation = (things.start[k, component] - states[name][k, component]) / std
+            rows.append((int(groups.group[name][k]), by, float(deviation)))
     return Known(
         group=np.array([g for g, _, _ in rows], dtype=int),
         by=np.array([by for _, by, _ in rows]).reshape(-1, width),
-        left=np.array([left for _, _, left in rows]),
+        left=np.array([deviation for _, _, deviation in rows]),
     )
 
 
-def _tied(
-    tie: Tie, of: Groups, instruments: Instruments, states: States, width: int
+def _row_of_tie(
+    tie: Tie, groups: Groups, instruments: Instruments, states: States, width: int
 ) -> tuple[int, np.ndarray, float] | None:
-    """A tie as a row: group, columns, and what is left in sigmas; None where nothing of it is sought."""
+    """A tie as a row: group, columns, and declared minus present value in sigmas; None where no end of it has an unknown."""
     things = instruments.things[tie.role]
     if not {tie.first, tie.second} <= set(things.names):
         return None
     pair = [things.names.index(name) for name in (tie.first, tie.second)]
     ends = [states[tie.role][k] for k in pair]
-    group = max(int(of.group[tie.role][k]) for k in pair)
+    group = max(int(groups.group[tie.role][k]) for k in pair)
     if group < 0 or not np.isfinite(np.concatenate(ends)).all():
         return None
     by = np.zeros(width)
     for end, k in enumerate(pair):
-        for component in np.flatnonzero(of.slot[tie.role][k] >= 0).tolist():
+        for component in np.flatnonzero(groups.slot[tie.role][k] >= 0).tolist():
             change = np.zeros((2, len(things.role.components)))
             change[:, component] = STEP, -STEP
             ahead, back = things.role.moved(np.array([ends[end], ends[end]]), change)
-            slope = (_value(tie, ahead, ends[1 - end]) - _value(tie, back, ends[1 - end])) / (2.0 * STEP)
-            by[of.slot[tie.role][k, component]] = slope / tie.std
-    return group, by, (tie.value - _value(tie, *ends)) / tie.std
+            slope = (_value_of_tie(tie, ahead, ends[1 - end]) - _value_of_tie(tie, back, ends[1 - end])) / (2.0 * STEP)
+            by[groups.slot[tie.role][k, component]] = slope / tie.std
+    return group, by, (tie.value - _value_of_tie(tie, *ends)) / tie.std
 
 
-def _value(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
-    """What a tie is about: the distance of two points, or the cosine of two normals, in either order."""
+def _value_of_tie(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
+    """The quantity that a tie fixes: the distance of two points, or the cosine of the angle of two normals, in either order."""
     a, b = first[:3], second[:3]
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
 
-def solved(sums: Sums, of: Groups, beforehand: Known, sigma: np.ndarray) -> Eliminated:
+def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> Eliminated:
     """Solve for all groups.
 
     Args:
         sums: Over their rows.
-        of: The groups.
-        beforehand: What is known of them.
+        groups: The groups.
+        beforehand: Prior knowledge of them.
         sigma: Noise of each channel, shape (C,).
     """
     per = 1.0 / sigma**2
@@ -298,19 +304,19 @@ def solved(sums: Sums, of: Groups, beforehand: Known, sigma: np.ndarray) -> Elim
 
 
 def reduced(
-    equations: NormalEquations, sums: Sums, found: Eliminated, beforehand: Known, sigma: np.ndarray
+    equations: NormalEquations, sums: Sums, elimination: Eliminated, beforehand: Known, sigma: np.ndarray
 ) -> NormalEquations:
-    """Normal equations of the coefficients with the groups solved for; what is known of these counts as their first channel's.
+    """Normal equations of the coefficients with the groups solved for; prior knowledge counts in the groups' main channel.
 
     Args:
         equations: Of all rows, groups held.
         sums: Over the rows of the groups.
-        found: Those solved.
-        beforehand: What is known of them.
+        elimination: The groups solved.
+        beforehand: Prior knowledge of them.
         sigma: Noise of each channel, shape (C,).
     """
     AA, Ar, rr, count = (value.copy() for value in (equations.AA, equations.Ar, equations.rr, equations.count))
-    X, y = found.X, found.y
+    X, y = elimination.X, elimination.y
     flat = X.reshape(X.shape[0] * X.shape[1], X.shape[2])
     for c in range(len(sigma)):
         cross = sums.BJ[c].reshape(flat.shape).T @ flat
@@ -321,21 +327,21 @@ def reduced(
         rr[c] += float(np.sum(y * (pull - 2.0 * sums.Br[c])))
     first = int(np.argmax(np.einsum("cguu->c", sums.BB)))
     by = tied_columns(X, beforehand)
-    left = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
+    remainder = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
     AA[first] += sigma[first] ** 2 * by.T @ by
-    Ar[first] += sigma[first] ** 2 * by.T @ left
-    rr[first] += sigma[first] ** 2 * float(left @ left)
+    Ar[first] += sigma[first] ** 2 * by.T @ remainder
+    rr[first] += sigma[first] ** 2 * float(remainder @ remainder)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
     share = share / np.maximum(share.sum(axis=0), TINY)
     count[first] += len(beforehand.left)
-    return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ found.rank, 0.0))
+    return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ elimination.rank, 0.0))
 
 
-def moved(states: States, of: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
+def moved(states: States, groups: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
     """Where the things are after a step of the groups' unknowns, shape (G, U)."""
     after = dict(states)
-    for name, slot in of.slot.items():
-        role, group = instruments.things[name].role, of.group[name]
+    for name, slot in groups.slot.items():
+        role, group = instruments.things[name].role, groups.group[name]
         change = np.where(slot >= 0, step[group[:, None], np.maximum(slot, 0)], 0.0)
         there = group >= 0
         after[name] = states[name].copy()
@@ -344,5 +350,5 @@ def moved(states: States, of: Groups, instruments: Instruments, step: np.ndarray
 
 
 def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
-    """What is known of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
+    """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
     return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

@@ -1,4 +1,4 @@
-"""Robust measures of size, which rows are outliers, and whether those lie together: what is wrong in one place is structure."""
+"""Robust sigmas, rows that are outliers, and whether outliers lie together: errors of one place are structure."""
 
 from __future__ import annotations
 
@@ -67,27 +67,27 @@ def robust_sigma(r: np.ndarray, channels: Channels) -> np.ndarray:
     Returns:
         Shape (C,).
     """
-    found = []
+    sigmas = []
     for channel, length in zip(channels, norms(r, channels), strict=True):
         length = length[~np.isnan(length)]
         if not len(length):
-            found.append(FLOOR)
+            sigmas.append(FLOOR)
             continue
         ratios = [q / usual for q, usual in zip(_quantiles(length), usual_norms(channel.size), strict=True)]
-        found.append(max(*ratios, FLOOR))
-    return np.array(found)
+        sigmas.append(max(*ratios, FLOOR))
+    return np.array(sigmas)
 
 
 def _quantiles(values: np.ndarray) -> list[float]:
-    """Quantiles at :data:`QUANTILES`, between neighbours linearly: as NumPy has them, whose own function takes 0.1 ms for few."""
+    """Quantiles at :data:`QUANTILES`, linear between neighbours, as NumPy's, whose function takes 0.1 ms even for few values."""
     places = [q * (len(values) - 1) for q in QUANTILES]
     lower = [int(place) for place in places]
     ordered = np.partition(values, [k for low in lower for k in (low, min(low + 1, len(values) - 1))])
-    found = []
+    quantiles = []
     for place, low in zip(places, lower, strict=True):
         a, b = float(ordered[low]), float(ordered[min(low + 1, len(values) - 1)])
-        found.append(a + (b - a) * (place - low))
-    return found
+        quantiles.append(a + (b - a) * (place - low))
+    return quantiles
 
 
 @cache
@@ -106,15 +106,15 @@ def cauchy(r: np.ndarray, sigma: np.ndarray, channels: Channels) -> np.ndarray:
     return 1.0 / (1.0 + (distance(r, sigma, channels) / CAUCHY) ** 2)
 
 
-def limits(data: Dataset, kept: np.ndarray | None = None) -> np.ndarray:
+def limits(data: Dataset, exempt: np.ndarray | None = None) -> np.ndarray:
     """Sigmas beyond which each row is flagged, shape (N,).
 
     Args:
         data: N rows.
-        kept: Rows that are not to be flagged whatever they leave, shape (N,) bool.
+        exempt: Rows that are never flagged, however large their residual, shape (N,) bool.
     """
     usual = np.where(data.repeats.doubtful, SUSPECT, OUTLIER)
-    return usual if kept is None else np.where(kept, np.inf, usual)
+    return usual if exempt is None else np.where(exempt, np.inf, usual)
 
 
 def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
     Args:
         r: Scaled residuals, shape (N, m).
         channels: Their channels.
-        limit: Sigmas at which each row becomes one, shape (N,); see :func:`limits`.
+        limit: Sigmas beyond which each row is an outlier, shape (N,); see :func:`limits`.
     """
     return np.asarray(distance(r, robust_sigma(r, channels), channels) > limit)
 
@@ -146,38 +146,38 @@ def cluster(flags: np.ndarray, data: Dataset) -> Cluster | None:
     if flags.sum() < 2:
         return None
     places = coordinates(data)
-    found = [_window(name, values, flags, len(places)) for name, values in places.items()]
-    return min(found, key=lambda c: c.p_value)
+    clusters = [_window(name, values, flags, len(places)) for name, values in places.items()]
+    return min(clusters, key=lambda c: c.p_value)
 
 
 def coordinates(data: Dataset) -> dict[str, np.ndarray]:
-    """Everything in which rows may lie together, shape (N,) each."""
-    found = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
-    found |= dict(zip(data.names, data.readings.T, strict=True))
+    """Values of every coordinate in which rows may lie together, shape (N,) each, by the name of the coordinate."""
+    values_of = {"row": np.argsort(data.sequence).astype(float)}  # the place of each in the order of measurement
+    values_of |= dict(zip(data.names, data.readings.T, strict=True))
     if not np.isnan(data.position).any():
-        found |= dict(zip("xyz", data.position.T, strict=True))
+        values_of |= dict(zip("xyz", data.position.T, strict=True))
     if not data.direct:
         things = np.unique(
             np.column_stack([data.labels.block.astype(str), data.labels.refers]), axis=0, return_inverse=True
         )[1]
-        found[MEASURED] = things.reshape(-1).astype(float)
-    found |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
+        values_of[MEASURED] = things.reshape(-1).astype(float)
+    values_of |= {name: values for name, values in data.covariates.items() if not np.isnan(values).any()}
     if data.labels.station is not None:
-        found["station"] = np.unique(data.labels.station, return_inverse=True)[1].astype(float)
-    return {name: values for name, values in found.items() if np.ptp(values) > 0}
+        values_of["station"] = np.unique(data.labels.station, return_inverse=True)[1].astype(float)
+    return {name: values for name, values in values_of.items() if np.ptp(values) > 0}
 
 
 def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) -> Cluster:
     """The window of one coordinate that is least likely by chance."""
-    every, own = np.sort(values), np.sort(values[flags])
-    f = len(own)
-    ends = np.unique(own[np.linspace(0, f - 1, min(f, ENDS)).round().astype(int)])
+    ordered, flagged_values = np.sort(values), np.sort(values[flags])
+    f = len(flagged_values)
+    ends = np.unique(flagged_values[np.linspace(0, f - 1, min(f, ENDS)).round().astype(int)])
     low, high = (ends[k] for k in np.triu_indices(len(ends)))
-    inside = np.searchsorted(every, high, side="right") - np.searchsorted(every, low)
-    hits = np.searchsorted(own, high, side="right") - np.searchsorted(own, low)
-    # of f - 1 other flags at least hits - 1 in the window: the binomial tail (DLMF 8.17.5), 1 where none is asked for
+    inside = np.searchsorted(ordered, high, side="right") - np.searchsorted(ordered, low)
+    hits = np.searchsorted(flagged_values, high, side="right") - np.searchsorted(flagged_values, low)
+    # of f - 1 other flags at least hits - 1 in the window: the binomial tail (DLMF 8.17.5), 1 where no other need be there
     least = np.maximum(hits - 1, 1)
-    tail = betainc(least, f - least, (inside - 1) / (len(every) - 1))
+    tail = betainc(least, f - least, (inside - 1) / (len(ordered) - 1))
     chance = np.where(hits > 1, tail, 1.0)
     best = int(np.argmin(chance))
     a, b = float(low[best]), float(high[best])
@@ -187,7 +187,7 @@ def _window(name: str, values: np.ndarray, flags: np.ndarray, coordinates: int) 
 
 
 def coarsest(sigma: np.ndarray, channels: Channels) -> np.ndarray:
-    """What the noise of the coarsest channel is in the unit of each, shape (C,); 0 for channels in sigmas."""
+    """Noise of the coarsest channel in the unit of each channel, shape (C,); 0 for channels in sigmas."""
     size = np.array([SIZES[channel.unit] if channel.unit in OF_SPACE else 0.0 for channel in channels])
     there = size > 0.0
     return size * float(np.max(sigma[there] / size[there], initial=0.0))

@@ -52,7 +52,7 @@ class FrameStart:
 
 @dataclass(frozen=True)
 class Posed:
-    """Rows that tell where the target is, and the frames that each belongs to.
+    """Rows that measure the target's place, and the frames that each belongs to.
 
     Attributes:
         R: Nominal T_base_tip, shape (N, 3, 3).
@@ -74,19 +74,19 @@ class Posed:
 def start_frames(
     data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
 ) -> list[FrameStart]:
-    """Candidate starts for the unknown ones of T_world_base and T_tip_target; a fit of each tells which is right.
+    """Candidate starts for unknown T_world_base and T_tip_target; a fit from each tells which is right.
 
     Args:
         data: N rows.
-        known_world: The frames, where they are not to be identified.
-        known_tip: Likewise.
+        known_world: T_world_base of each world frame; None where they are to be identified.
+        known_tip: T_tip_target of each target; None likewise.
         hint_tip: The target where nothing measures it: its rotation from positions alone, its translation along
             directions that the base can follow (a tool that never tilts).
     """
     if known_world is not None and known_tip is not None:
         return [FrameStart(known_world, known_tip)]
     if known_world is not None:
-        return [_with_target(data, known_world, _seen_from(data, known_world, len(hint_tip)), hint_tip)]
+        return [_with_target(data, known_world, _levers_from_worlds(data, known_world, len(hint_tip)), hint_tip)]
     if known_tip is not None:
         t = np.array([frame.translation for frame in known_tip])
         turned = None
@@ -94,13 +94,13 @@ def start_frames(
             turned = data.R @ np.array([frame.rotation for frame in known_tip])[data.tip]
         return [FrameStart(_kabsch(data, t, turned), known_tip)]
     hint = np.array([frame.translation for frame in hint_tip])
-    found = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
-    found += _kronecker(data, hint) if data.M is not None else []
-    return [_with_target(data, world_base, t, hint_tip) for world_base, t in found]
+    places = [(_kabsch(data, t, None), t) for t in _levers(data, hint)]
+    places += _kronecker(data, hint) if data.M is not None else []
+    return [_with_target(data, world_base, t, hint_tip) for world_base, t in places]
 
 
 def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
-    """That of the starts with the smallest misfit; see :func:`start_frames`."""
+    """The start with the smallest misfit; see :func:`start_frames`."""
     channels = kind_of_places(data.M).channels
 
     def left(start: FrameStart) -> float:
@@ -121,7 +121,7 @@ def _points(data: Posed, t: np.ndarray) -> np.ndarray:
 
 
 def _columns(data: Posed, tips: int) -> np.ndarray:
-    """What the target translations move in the base frame, shape (N, 3, 3 tips)."""
+    """Derivatives of the targets in the base frame by the target translations, shape (N, 3, 3 tips)."""
     columns = np.zeros((len(data.p), 3, 3 * tips))
     for k in range(tips):
         columns[data.tip == k, :, 3 * k : 3 * k + 3] = data.R[data.tip == k]
@@ -129,7 +129,7 @@ def _columns(data: Posed, tips: int) -> np.ndarray:
 
 
 def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
-    """Values minus the mean of the rows that share a label."""
+    """Values minus the mean over the rows of the same label."""
     out = values.copy()
     for k in np.unique(label):
         out[label == k] -= values[label == k].mean(axis=0)
@@ -139,7 +139,7 @@ def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
 def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
     """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
 
-    Minimises over t what Kabsch's rotation leaves: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
+    Minimises over t the misfit after Kabsch's rotation: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
     of H(t), with c(t) linear in t; so the cost of a step does not depend on the number of rows.
     """
     tips = len(hint)
@@ -147,19 +147,19 @@ def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
     spread = np.sum(_centred(data.m, data.world) ** 2, axis=1)
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
-    minima = [_descended(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
+    minima = [_descend(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
     lowest_first = sorted(_distinct(minima, SAME * size), key=lambda t: cost(t)[0])
     slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
     return [t.reshape(tips, 3) for t in _distinct(slid, SAME * size)[:BEST]]
 
 
 def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
-    """Places without those that hardly differ from one before."""
-    kept: list[np.ndarray] = []
+    """Translations without those that hardly differ from an earlier one."""
+    distinct: list[np.ndarray] = []
     for t in places:
-        if not any(np.allclose(t, other, atol=apart) for other in kept):
-            kept.append(t)
-    return kept
+        if not any(np.allclose(t, other, atol=apart) for other in distinct):
+            distinct.append(t)
+    return distinct
 
 
 def _lever_cost(data: Posed, tips: int) -> Cost:
@@ -169,9 +169,9 @@ def _lever_cost(data: Posed, tips: int) -> Cost:
     """
     worlds = int(data.world.max()) + 1
     c, C, m = (_centred(part, data.world) for part in (data.p, _columns(data, tips), data.m))
-    own = [data.world == w for w in range(worlds)]
-    H0 = np.array([m[rows].T @ c[rows] for rows in own])
-    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in own])
+    rows_of_worlds = [data.world == w for w in range(worlds)]
+    H0 = np.array([m[rows].T @ c[rows] for rows in rows_of_worlds])
+    H1 = np.array([np.einsum("ni,njk->kij", m[rows], C[rows]).reshape(-1, 9) for rows in rows_of_worlds])
     linear = np.einsum("nik,ni->k", C, c)
     quadratic = np.einsum("nik,nil->kl", C, C)
     measured = float(np.sum(m**2))
@@ -193,8 +193,8 @@ def _lever_cost(data: Posed, tips: int) -> Cost:
     return cost
 
 
-def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
-    """A minimum and its place, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
+def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]:
+    """Value and place of a minimum, from t, shape (T,), by BFGS (Nocedal and Wright 2006, algorithm 6.1) with halved steps.
 
     The library's minimisers find the same ones, and take longer to be loaded than to find them.
     """
@@ -204,14 +204,14 @@ def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarra
         step = -inverse @ slope
         falls = float(step @ slope)
         for _ in range(HALVINGS):
-            found, after = cost(t + step)
-            if found <= value + ARMIJO * falls:
+            after_value, after_slope = cost(t + step)
+            if after_value <= value + ARMIJO * falls:
                 break
             step, falls = 0.5 * step, 0.5 * falls
         else:
             break  # rounding
-        turn, gain = after - slope, value - found
-        t, value, slope = t + step, found, after
+        turn, gain = after_slope - slope, value - after_value
+        t, value, slope = t + step, after_value, after_slope
         if gain < SETTLED * max(value, 1.0):
             break
         along = float(turn @ step)
@@ -224,7 +224,7 @@ def _descended(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarra
 def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarray:
     """The part of a gap from a minimum t to the hint, shape (T,), that the misfit does not notice, size being its unit [m].
 
-    What cannot be identified stays at its hint.
+    So a translation that cannot be identified stays at its hint.
     """
     steps = 1e-2 * size * np.eye(len(t))
     H = np.array([(cost(t + step)[1] - cost(t - step)[1]) / (4e-2 / size) for step in steps])
@@ -236,22 +236,22 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
 
 
 def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
-    """T_world_base of each world frame for known target translations; measured rotations help where there are any.
+    """T_world_base of each world frame for known target translations, from positions and, where measured, rotations.
 
     Args:
         data: The rows.
         t: Target translations, shape (tips, 3).
-        turned: Rotation of the target in the base frame where it is known, shape (N, 3, 3).
+        turned: Rotation of the target in the base frame, shape (N, 3, 3); None where it is not known.
     """
     c = _points(data, t)
     frames = []
     for w in range(int(data.world.max()) + 1):
-        own = data.world == w
-        middle_c, middle_m = c[own].mean(axis=0), data.m[own].mean(axis=0)
-        H = (data.m[own] - middle_m).T @ (c[own] - middle_c)
+        in_world = data.world == w
+        middle_c, middle_m = c[in_world].mean(axis=0), data.m[in_world].mean(axis=0)
+        H = (data.m[in_world] - middle_m).T @ (c[in_world] - middle_c)
         if turned is not None and data.M is not None:
-            size = np.trace((c[own] - middle_c).T @ (c[own] - middle_c)) / own.sum()
-            H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[own], turned[own])
+            size = np.trace((c[in_world] - middle_c).T @ (c[in_world] - middle_c)) / in_world.sum()
+            H += max(size, 1e-6) * np.einsum("nik,njk->ij", data.M[in_world], turned[in_world])
         R = nearest_rotation(H)
         frames.append(pin.SE3(R, middle_m - R @ middle_c))
     return tuple(frames)
@@ -262,8 +262,8 @@ def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]
     assert data.M is not None
     turns = []
     for w in range(int(data.world.max()) + 1):
-        own = data.world == w
-        K = np.einsum("nij,nkl->ikjl", data.M[own], data.R[own]).reshape(9, 9)
+        in_world = data.world == w
+        K = np.einsum("nij,nkl->ikjl", data.M[in_world], data.R[in_world]).reshape(9, 9)
         turns.append(np.linalg.svd(K)[0][:, 0].reshape(3, 3))
     rotations = [np.array([nearest_rotation(sign * turn) for turn in turns]) for sign in (1.0, -1.0)]
     return [_translations(data, RX, hint) for RX in rotations]
@@ -287,7 +287,7 @@ def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames
     return world_base, hint + x.reshape(tips, 3)
 
 
-def _seen_from(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
+def _levers_from_worlds(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
     """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
@@ -297,13 +297,13 @@ def _seen_from(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
 
 
 def _with_target(data: Posed, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
-    """The target frames for given world_base frames and target translations: their rotation from the measured ones."""
+    """The start of given world_base frames and target translations, the targets' rotations from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []
     for k, frame in enumerate(hint):
-        own, rotation = data.tip == k, frame.rotation
+        of_tip, rotation = data.tip == k, frame.rotation
         if data.M is not None:
-            turned = RX[own] @ data.R[own]
-            rotation = nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[own]))
+            turned = RX[of_tip] @ data.R[of_tip]
+            rotation = nearest_rotation(np.einsum("nji,njk->ik", turned, data.M[of_tip]))
         tips.append(pin.SE3(rotation, t[k]))
     return FrameStart(world_base, tuple(tips))

@@ -35,7 +35,7 @@ class Subset:
     """The coefficients that are kept, and why the others are not.
 
     Attributes:
-        kept: Indices, in the order given.
+        kept: Indices of the coefficients that are fitted, in the order of preference.
         redundant: For each dropped index, the kept indices that it is confounded with; empty if it moves nothing.
         condition: Of the kept columns, each scaled to length 1.
     """
@@ -46,15 +46,15 @@ class Subset:
 
 
 def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ()) -> Subset:
-    """Keep columns in the order given as long as each adds something that can be measured.
+    """Keep columns in the order of preference as long as each adds something that can be measured.
 
-    What is clearly apart from those before it is kept first, and only then what barely is: where two axes are parallel
+    A column clearly apart from those before it is kept first, and only then one that barely is: where two axes are parallel
     but for a milliradian, the shift of one along itself hardly differs from that of the other, and must not push out
     a column that is well known.
 
     Args:
         R: Triangle of the Jacobian's QR in units of sigma, shape (<= K, K): column k per [m] or [rad] of coefficient k.
-        order: All indices, the ones to keep before others first.
+        order: All indices, those to be kept before others first.
         ahead: Indices to keep before all others, if they can be measured at all.
     """
     length = np.linalg.norm(R, axis=0)
@@ -70,59 +70,59 @@ def identifiable(R: np.ndarray, order: Sequence[int], ahead: Sequence[int] = ())
 
 
 def apart(R: np.ndarray, first: int) -> np.ndarray:
-    """Which columns behind the first ones are no sums of these, as far as that can be measured, shape (K - first,) bool.
+    """Which columns behind the first ones are no sums of the first, as far as that can be measured, shape (K - first,) bool.
 
-    Beside further columns no other ones can be.
+    Only these can be identifiable when further columns are in the model.
 
     Args:
         R: As for :func:`identifiable`, shape (<= K, K).
-        first: How many columns come first.
+        first: Number of the first columns.
     """
     Q = np.linalg.qr(R[:, :first])[0]
     rest = R[:, first:] - Q @ (Q.T @ R[:, first:])
     rest -= Q @ (Q.T @ rest)
-    left = np.linalg.norm(rest, axis=0)
-    return np.asarray((left > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _measured(left))
+    length = np.linalg.norm(rest, axis=0)
+    return np.asarray((length > TOLERANCE * np.linalg.norm(R[:, first:], axis=0)) & _is_measurable(length))
 
 
-def _measured(length: float | np.ndarray) -> bool | np.ndarray:
+def _is_measurable(length: float | np.ndarray) -> bool | np.ndarray:
     """Whether the noise moves a direction of so many sigmas per [m] or [rad] by less than :data:`WORST`."""
     return length * WORST >= 1.0
 
 
 def _extended(R: np.ndarray, length: np.ndarray, kept: list[int], candidates: Sequence[int], share: float) -> list[int]:
-    """Kept columns and those candidates of which more than a share of their length is new, and can be measured.
+    """Kept columns and the candidates of which more than a share of their length is new and can be measured.
 
-    Gram-Schmidt, twice for each column, so that what is left is right to rounding.
+    Gram-Schmidt, twice for each column, so that the new part is right to rounding.
     """
-    found, kept = np.empty((len(R), R.shape[1])), list(kept)
+    basis, kept = np.empty((len(R), R.shape[1])), list(kept)
     first = np.linalg.qr(R[:, kept])[0]
-    found[:, : first.shape[1]], count = first, first.shape[1]
+    basis[:, : first.shape[1]], count = first, first.shape[1]
     for k in candidates:
         if k in kept:
             continue
-        Q = found[:, :count]
+        Q = basis[:, :count]
         rest = R[:, k] - Q @ (Q.T @ R[:, k])
         rest -= Q @ (Q.T @ rest)
-        left = float(np.sqrt(rest @ rest))
-        if left > share * length[k] and _measured(left):
+        new_length = float(np.sqrt(rest @ rest))
+        if new_length > share * length[k] and _is_measurable(new_length):
             kept.append(k)
-            found[:, count], count = rest / left, count + 1
+            basis[:, count], count = rest / new_length, count + 1
     return kept
 
 
 def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Sequence[int]) -> list[int]:
-    r"""Kept columns without those of combinations that move almost nothing, though each column by itself does.
+    r"""Kept columns without one of each combination that moves almost nothing, though each column by itself does.
 
-    What is kept is held as a triangle, :math:`Q^T R` of all columns, the kept ones first, which reflections keep up to date as a
-    column goes and others take its place.
+    The triangle :math:`Q^T R` of all columns, the kept ones first, is kept up to date by reflections as a column goes and others
+    take its place.
     """
     columns = [*kept, *(k for k in order if k not in kept)]
     count = len(kept)
     T = np.linalg.qr(R[:, kept], mode="complete")[0].T @ R[:, columns]
     while count:
         moved, direction = _weakest(T[:count, :count])
-        if _measured(moved):
+        if _is_measurable(moved):
             break
         part = np.abs(direction)
         gone = int(np.flatnonzero(part > CARRIES * part.max())[-1])
@@ -131,8 +131,8 @@ def _without_weak(R: np.ndarray, length: np.ndarray, kept: list[int], order: Seq
         rows = slice(gone, count + 1)
         T[rows, gone:] = np.linalg.qr(T[rows, gone:count], mode="complete")[0].T @ T[rows, gone:]
         for k in range(count, len(columns)):
-            left = float(np.linalg.norm(T[count:, k]))
-            if left > TOLERANCE * length[columns[k]] and _measured(left):
+            new_length = float(np.linalg.norm(T[count:, k]))
+            if new_length > TOLERANCE * length[columns[k]] and _is_measurable(new_length):
                 columns.insert(count, columns.pop(k))
                 T[:, count : k + 1] = np.roll(T[:, count : k + 1], 1, axis=1)
                 T[count:, count:] = np.linalg.qr(T[count:, count : count + 1], mode="complete")[0].T @ T[count:, count:]
@@ -158,12 +158,12 @@ def _weakest(T: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.ndarray) -> dict[int, tuple[int, ...]]:
-    """For each dropped column, the kept ones whose sum imitates it; none if it moves nothing."""
-    moving = [k for k in dropped if kept and _measured(length[k])]
-    found: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
+    """For each dropped column, the kept columns whose sum imitates it; none if it moves nothing."""
+    moving = [k for k in dropped if kept and _is_measurable(length[k])]
+    partners: dict[int, tuple[int, ...]] = dict.fromkeys(dropped, ())
     if moving:
         shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
         for k, share in zip(moving, shares.T, strict=True):
             largest_first = np.argsort(-np.abs(share))
-            found[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
-    return found
+            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
+    return partners

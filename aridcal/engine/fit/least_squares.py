@@ -103,14 +103,14 @@ UNKNOWN_NOISE = 1e-4
 
 @dataclass(frozen=True)
 class Convergence:
-    """Proof that a minimum was found.
+    """Figures of how well a minimum is reached.
 
     Attributes:
         steps: Gauss-Newton steps taken.
         gradient: Largest gradient, as the step it asks for in sigmas of the coefficient.
         condition: Of the Jacobian, each column scaled to length 1.
         restarts: Other starts that were tried; each must lead to the same minimum.
-        agreed: How many of them did.
+        agreed: How many of them led there.
     """
 
     steps: int
@@ -121,7 +121,7 @@ class Convergence:
 
     @property
     def converged(self) -> bool:
-        """True if the gradient vanished. Whether other starts lead to the same minimum is told by ``agreed``."""
+        """True if the gradient vanished; ``agreed`` says whether other starts lead to the same minimum."""
         return self.gradient < VANISHED
 
 
@@ -137,13 +137,12 @@ class Fit:
         estimated: Noise that the residuals show, degrees of freedom taken into account, shape (C,).
         weight: Of each row, shape (N,): 0 for outliers.
         residual: Measured minus predicted, scaled by the rows' relative sigmas, shape (N, m).
-        candidates: All coefficients that were asked for.
-        redundant: For each that was dropped: the names of those it is confounded with.
-        convergence: How well the minimum was found.
+        candidates: All coefficients that were to be fitted.
+        redundant: For each candidate that was dropped, the names of the coefficients that it is confounded with.
+        convergence: How well the minimum is reached.
         spent: Degrees of freedom used up: K, or less where priors shrink.
         numbers: Numbers measured in the rows in use.
-        believed: Precision with which coefficients were believed to be zero, where rows are few, shape (K, K): all zero where
-            nothing was believed.
+        believed: Precision of a prior at zero, used where rows are few, shape (K, K): all zero without one.
     """
 
     model: Model
@@ -167,14 +166,14 @@ class Fit:
 
     @cached_property
     def information(self) -> np.ndarray:
-        """Inverse of the covariance, shape (K, K): of rows and priors; of combinations that move nothing there is none."""
+        """Inverse of the covariance, shape (K, K), of rows and priors; 0 for combinations that move nothing."""
         scale = np.where(self.std > 0.0, self.std, 1.0)
         relative = self.covariance / np.outer(scale, scale)
         return np.asarray(np.linalg.pinv(relative, rcond=RANK, hermitian=True) / np.outer(scale, scale))
 
     @property
     def outliers(self) -> np.ndarray:
-        """Rows that were given no weight, shape (N,)."""
+        """Rows of weight 0, shape (N,) bool."""
         return np.asarray(self.weight < 0.5)
 
     @property
@@ -188,12 +187,12 @@ class Minimum:
     """Where a minimisation ended.
 
     Attributes:
-        theta: Shape (K,).
-        at: The problem there.
+        theta: Coefficients, shape (K,).
+        at: The problem linearised there.
         sigma: Noise of each channel, shape (C,).
         steps: Steps taken.
         gradient: As in :class:`Convergence`.
-        question: The problem, its things where they were found.
+        question: The problem, its things at the minimum.
     """
 
     theta: np.ndarray
@@ -210,9 +209,9 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     Args:
         problem: K coefficients, N rows.
         theta: Start, shape (K,).
-        weight: Of each row, shape (N,); None: Cauchy's, its scale found anew at each step, and the last decimals
+        weight: Of each row, shape (N,); None: Cauchy's, its scale estimated anew at each step, and the last decimals
             left to a later call with fixed weights.
-        prior: Beliefs that are not measured here.
+        prior: Of the coefficients, from elsewhere than these rows.
     """
     channels, declared = problem.channels, problem.data.declared
     robust, abreast, even = weight is None, True, np.ones(len(channels))
@@ -220,56 +219,57 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     at_once = linearise(problem, theta, weight, even) if not robust and problem.measured.direct else None
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
-    def noise_at(told: Combined, sigma: np.ndarray) -> np.ndarray:
-        estimate = scale if robust else _estimate(told, sigma)
+    def noise_at(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+        estimate = scale if robust else _noise_of_residuals(equations, sigma)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
-    def steady(told: Combined, sigma: np.ndarray) -> np.ndarray:
+    def steady(equations: Combined, sigma: np.ndarray) -> np.ndarray:
         for _ in range(ESTIMATES):
-            held, sigma = sigma, noise_at(told, sigma)
-            if np.all(np.abs(sigma - held) <= STEADY * held):
+            before_sigma, sigma = sigma, noise_at(equations, sigma)
+            if np.all(np.abs(sigma - before_sigma) <= STEADY * before_sigma):
                 break
         return sigma
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
-    here = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
-    told = Combined(here.equations, prior)
-    sigma = noise_at(told, declared(scale))
-    damping, share, taken = 0.0, 1.0, 0
-    while taken < STEPS and damping < MOST_DAMPING:
-        g = told.pull(sigma, theta)
-        combined = solve(told.information(sigma), g, damping)
-        step, length = told.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
+    current = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
+    equations = Combined(current.equations, prior)
+    sigma = noise_at(equations, declared(scale))
+    damping, share, steps = 0.0, 1.0, 0
+    while steps < STEPS and damping < MOST_DAMPING:
+        g = equations.pull(sigma, theta)
+        combined = solve(equations.information(sigma), g, damping)
+        step, length = equations.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
         last = length < settled and damping == 0.0
         last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
         step = step if last else share * step
         if last and abreast and not robust:
-            abreast, sigma = False, steady(told, sigma)  # the last step is taken in the noise that stays
+            abreast, sigma = False, steady(equations, sigma)  # the last step is taken in the noise that stays
             continue
         if last and length < UNNOTICED and _has_many(problem):
             step = np.zeros(len(theta))
-            there, trial = problem, here
+            ahead, trial = problem, current
         else:
-            there = problem.stepped(here.step_of_groups(step), here.agreed)
-            trial = linearise(there, theta + step, weight, scale if robust else sigma)
-        before = here.squares(here.weight, sigma, channels) + told.squares(theta)
-        after = trial.squares(here.weight, sigma, channels) + told.squares(theta + step)
-        taken += 1
+            ahead = problem.stepped(current.step_of_groups(step), current.agreed)
+            trial = linearise(ahead, theta + step, weight, scale if robust else sigma)
+        before = current.squares(current.weight, sigma, channels) + equations.squares(theta)
+        after = trial.squares(current.weight, sigma, channels) + equations.squares(theta + step)
+        steps += 1
         if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
-            told = told if trial is here else Combined(trial.equations, prior)
-            problem, theta, here, damping = there, theta + step, trial, 0.0 if damping < FIRST_DAMPING else damping / 10
-            scale = robust_sigma(here.residual, channels) if robust else scale
-            sigma, share = noise_at(told, sigma), min(1.0, 2.0 * share)
+            equations = equations if trial is current else Combined(trial.equations, prior)
+            problem, theta, current = ahead, theta + step, trial
+            damping = 0.0 if damping < FIRST_DAMPING else damping / 10
+            scale = robust_sigma(current.residual, channels) if robust else scale
+            sigma, share = noise_at(equations, sigma), min(1.0, 2.0 * share)
         elif length < NEAR and share > SHORTEST:
             share /= 4.0
         else:
             damping, share = max(10 * damping, FIRST_DAMPING), 1.0
         if last:
             break
-    sigma = sigma if robust else steady(told, sigma)
-    g = told.pull(sigma, theta)
-    asked = float(solve(told.information(sigma), g) @ g)
-    return Minimum(theta, here, sigma, taken, float(np.sqrt(max(asked, 0.0))), problem)
+    sigma = sigma if robust else steady(equations, sigma)
+    g = equations.pull(sigma, theta)
+    square = float(solve(equations.information(sigma), g) @ g)
+    return Minimum(theta, current, sigma, steps, float(np.sqrt(max(square, 0.0))), problem)
 
 
 def fit(
@@ -281,14 +281,14 @@ def fit(
         problem: K identifiable coefficients, N rows.
         theta: Start; default: zero.
         weight: Weights to use instead of looking for outliers, shape (N,).
-        prior: Beliefs that are not measured here.
+        prior: Of the coefficients, from elsewhere than these rows.
     """
     model, data = problem.model, problem.data
     theta = np.zeros(len(model.coefficients)) if theta is None else theta
     steps, limit = 0, limits(data)
     searching = weight is None
     if weight is None:
-        some = _enough(problem)
+        some = _rows_for_rough_fit(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
         problem = things_again(problem.with_states(rough.question.states), theta)
@@ -297,40 +297,40 @@ def fit(
         some = thin(problem.rows, AHEAD)
         theta = minimise(problem.select(some), theta, weight[some], prior).theta
     for _ in range(FLAGGING):
-        found = minimise(problem, theta, weight, prior)
-        problem, theta, steps = found.question, found.theta, steps + found.steps
-        again = np.where(flagged(found.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
-        if np.array_equal(again, weight):
+        minimum = minimise(problem, theta, weight, prior)
+        problem, theta, steps = minimum.question, minimum.theta, steps + minimum.steps
+        new_weight = np.where(flagged(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        if np.array_equal(new_weight, weight):
             break
-        weight = again
-    equations, sigma = found.at.equations, found.sigma
-    told = Combined(equations, prior)
-    inner = inverse(told.information(sigma), ridge=0.0)
+        weight = new_weight
+    equations, sigma = minimum.at.equations, minimum.sigma
+    combined = Combined(equations, prior)
+    inner = inverse(combined.information(sigma), ridge=0.0)
     H = equations.information(sigma) + (0.0 if prior is None else prior.precision)
     return Fit(
         model=replace(model, instruments=problem.instruments, states=problem.states) if problem.states else model,
         theta=theta,
-        covariance=told.covariance(inner),
+        covariance=combined.covariance(inner),
         sigma=sigma,
-        estimated=_estimate(told, sigma),
-        weight=found.at.weight,
-        residual=found.at.residual,
+        estimated=_noise_of_residuals(combined, sigma),
+        weight=minimum.at.weight,
+        residual=minimum.at.residual,
         candidates=model.coefficients,
         redundant={},
-        convergence=Convergence(steps, found.gradient, condition(H)),
-        spent=float(told.equations.spent(inner, sigma).sum()),
+        convergence=Convergence(steps, minimum.gradient, condition(H)),
+        spent=float(combined.equations.spent(inner, sigma).sum()),
         numbers=float(equations.count.sum()),
         believed=np.zeros((len(theta), len(theta))),
     )
 
 
 def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]] = ()) -> Fit:
-    """Fit the identifiable ones of a model's coefficients; the others stay nominal and are named.
+    """Fit the identifiable coefficients of a model; the others stay nominal and are named as redundant.
 
     Args:
         problem: All candidates, N rows.
-        order: The candidates' indices, the ones to keep before others first.
-        groups: Candidates that are believed to be alike in size, where rows are few; see :func:`shrunk`.
+        order: The candidates' indices, those to be kept before others first.
+        groups: Candidates of one prior size, where rows are few; see :func:`shrunk`.
 
     Raises:
         NotIdentifiable: nothing at all can be identified.
@@ -338,7 +338,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
     model = problem.model
     theta = np.zeros(len(model.coefficients))
     sigma = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
-    some = _enough(problem)
+    some = _rows_for_rough_fit(problem)
     share = np.full(len(some), len(problem) / len(some))
     sizes = model.sizes
     subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
@@ -346,55 +346,57 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
-        narrowed = _narrowed(problem, kept)
+        narrowed = _of_fewer_coefficients(problem, kept)
         result = fit(narrowed, theta[kept])
         problem = problem.with_states(result.model.states)
         theta = np.zeros(len(model.coefficients))
         theta[kept] = result.theta
         R = triangle(problem, theta, result.weight, result.sigma) * sizes
-        # What was kept stays ahead: near the solution a symmetry of the nominal robot is broken a little, and what
-        # that makes barely separable must not push out what is well known.
+        # Kept columns stay ahead: near the solution a symmetry of the nominal robot is broken a little, and columns
+        # that this makes barely separable must not push out well-determined ones.
         subset = identifiable(R, order, kept)
         if sorted(subset.kept) == kept:
             break
     if groups and result.numbers < PLENTY * len(kept):
-        result, subset = _of_few(problem, order, groups, replace(result, theta=theta), subset)
+        result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
     redundant = {model.names[k]: tuple(model.names[j] for j in partners) for k, partners in subset.redundant.items()}
     convergence = replace(result.convergence, condition=subset.condition)
     return replace(result, candidates=model.coefficients, redundant=redundant, convergence=convergence)
 
 
-def _of_few(
-    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, told: Subset
+def _fit_few_rows(
+    problem: Problem, order: Sequence[int], groups: Sequence[Sequence[int]], free: Fit, free_subset: Subset
 ) -> tuple[Fit, Subset]:
-    """The fit of rows so few that something must be believed of the constants, and which of these it has.
+    """The fit of rows so few that the constants need a prior, and the subset of constants that it has.
 
-    It has those, too, that only other configurations would tell: what is believed of them is then part of the covariance.
+    Constants that only other configurations would determine are in it, too: their prior is then part of the covariance.
 
     Args:
         problem: All candidates, N rows.
         order: As for :func:`fit_identifiable`.
         groups: Likewise.
-        free: A free fit of those that these rows tell, with values of all, the others zero.
-        told: Which these are.
+        free: A fit without a prior, with values of all candidates: zero for those that are not in ``free_subset``.
+        free_subset: The coefficients of that fit.
     """
-    model, kept = problem.model, sorted(told.kept)
+    model, kept = problem.model, sorted(free_subset.kept)
     constants = [k for group in groups for k in group]
     theta = free.theta.copy()
     theta[constants] = 0.0
     R = triangle(problem, theta, free.weight, free.sigma)
     if problem.measured.direct:
-        R = np.asarray(np.linalg.qr(np.vstack([R, _elsewhere(problem, theta, free.sigma)]), mode="r"))
-    # Of frames nothing is believed: those that these rows do not tell stay out.
+        R = np.asarray(np.linalg.qr(np.vstack([R, _columns_elsewhere(problem, theta, free.sigma)]), mode="r"))
+    # Frames have no prior: those that these rows do not determine stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
     every = sorted(subset.kept)
     begin = replace(free, theta=theta[every])
-    left = {k: why for k, why in told.redundant.items() if k not in every} | subset.redundant
-    return shrunk(_narrowed(problem, every), begin, _stood_for(R, every, groups)), replace(subset, redundant=left)
+    redundant = {k: why for k, why in free_subset.redundant.items() if k not in every} | subset.redundant
+    return shrunk(_of_fewer_coefficients(problem, every), begin, _motions_of_groups(R, every, groups)), replace(
+        subset, redundant=redundant
+    )
 
 
-def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Columns of all candidates where the joints' readings are combined otherwise than in the rows, (numbers, candidates)."""
+def _columns_elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Columns of all candidates at other combinations of the rows' joint readings, shape (numbers, candidates)."""
     data, rng = problem.data, np.random.default_rng(0)
     some = np.resize(np.arange(len(data)), max(OTHER, len(data)))
     readings = np.column_stack([rng.permutation(column[some]) for column in data.readings.T])
@@ -404,13 +406,13 @@ def _elsewhere(problem: Problem, theta: np.ndarray, sigma: np.ndarray) -> np.nda
     return np.asarray((J[:, :numbers] / spread(sigma, problem.channels)[:, None]).reshape(-1, len(theta)))
 
 
-def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
+def _motions_of_groups(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int]]) -> list[np.ndarray]:
     r"""For each group of candidates how the fitted coefficients move with it: T of :math:`J = J_{kept} T`, shape (K, n_g) each.
 
     Args:
         R: Triangle of the columns of all candidates, shape (all, all).
-        kept: Those that are fitted.
-        groups: Candidates; coefficients of none of them are free.
+        kept: Candidates that are fitted.
+        groups: Candidates of each group; a coefficient of no group has no prior.
     """
     T = np.linalg.lstsq(R[:, kept], R, rcond=None)[0]
     free = [k for k, candidate in enumerate(kept) if not any(candidate in group for group in groups)]
@@ -419,10 +421,10 @@ def _stood_for(R: np.ndarray, kept: Sequence[int], groups: Sequence[Sequence[int
 
 
 def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
-    r"""A fit in which constants of a group are believed to be alike in size, of a size that the rows tell.
+    r"""A fit with a prior of one size for the constants of a group, the size being estimated from the rows.
 
     Of all constants :math:`\varphi`, the redundant ones among them, those of group g are :math:`N(0, \tau_g^2)`. The coefficients
-    that are fitted stand for sums of them, :math:`\theta = T \varphi`, and are believed to be :math:`N(0, C)`,
+    that are fitted stand for sums of them, :math:`\theta = T \varphi`, with the prior :math:`N(0, C)`,
 
     .. math:: C = \sum_g \tau_g^2 T_g T_g^T
 
@@ -430,14 +432,14 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
 
     .. math:: \tau_g^2 = \frac{\nu \tau_0^2 + \sum_{k \in g} (E \varphi_k^2)}{\nu + n_g}
 
-    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. What rows do not tell stays near
-    zero; where they tell much, the fit is the free one. Noise that rows do not tell, as there are hardly more numbers than
-    coefficients, is taken to be no finer than :data:`UNKNOWN_NOISE`: else what was fitted passes for noise that is not there.
+    where :math:`\tau_0` = :data:`USUAL` counts as :math:`\nu` = :data:`BELIEVED` constants. Constants that rows do not determine
+    stay near zero; where rows tell much, the fit is the free one. Where there are hardly more numbers than coefficients, the
+    noise is taken to be no finer than :data:`UNKNOWN_NOISE`: a close fit would pass for a fine instrument.
 
     Args:
         problem: K identifiable coefficients, N rows.
-        free: A free fit of them, to begin from; its weights stay.
-        groups: For each group :math:`T_g`, shape (K, n_g): zero for the coefficients of which nothing is believed.
+        free: A fit of them without a prior, to begin from; its weights stay.
+        groups: :math:`T_g` of each group, shape (K, n_g): zero for the coefficients without a prior.
     """
     believed = np.flatnonzero(np.any(np.concatenate(groups, axis=1), axis=1))
     parts = [T[believed] for T in groups]
@@ -445,45 +447,46 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     fitted, theta = free, free.theta.copy()
     theta[believed] = 0.0
     precision = np.zeros((len(theta), len(theta)))
-    told = free.numbers - len(theta) >= TELLING
+    noise_known = free.numbers - len(theta) >= TELLING
     finest = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
     for _ in range(ESTIMATES):
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
         prior = Prior(np.zeros(len(theta)), precision.copy())
-        asked = problem.with_states(fitted.model.states)
-        fitted = fit(asked, theta, free.weight, prior)
-        if not told and np.any(fitted.sigma < finest):
+        question = problem.with_states(fitted.model.states)
+        fitted = fit(question, theta, free.weight, prior)
+        if not noise_known and np.any(fitted.sigma < finest):
             sigma = np.maximum(fitted.sigma, finest).tolist()
-            fitted = fit(replace(asked, data=with_sigma(asked.data, sigma)), theta, free.weight, prior)
+            fitted = fit(replace(question, data=with_sigma(question.data, sigma)), theta, free.weight, prior)
         theta, before = fitted.theta, sizes.copy()
         second = np.outer(theta[believed], theta[believed]) + fitted.covariance[np.ix_(believed, believed)]
         for g, T in enumerate(parts):
-            gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]  # of the constants on what is fitted
-            known = float(np.trace(gain @ second @ gain.T))
-            left = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
-            sizes[g] = np.sqrt((BELIEVED * USUAL**2 + known + left) / (BELIEVED + T.shape[1]))
+            # Regression of the constants on the coefficients.
+            gain = before[g] ** 2 * T.T @ precision[np.ix_(believed, believed)]
+            size_of_means = float(np.trace(gain @ second @ gain.T))
+            size_of_doubts = before[g] ** 2 * (T.shape[1] - float(np.trace(gain @ T)))
+            sizes[g] = np.sqrt((BELIEVED * USUAL**2 + size_of_means + size_of_doubts) / (BELIEVED + T.shape[1]))
         if np.all(np.abs(sizes / before - 1.0) < CLOSE):
             break
     return replace(fitted, believed=precision)
 
 
 def _has_many(problem: Problem) -> bool:
-    """Whether a fit of some of the rows alone leaves next to nothing to do."""
+    """Whether rows are so many that a fit of some leaves next to nothing to do for all."""
     return len(problem) > 2 * AHEAD and problem.measured.direct
 
 
-def _enough(problem: Problem) -> np.ndarray:
-    """Row numbers of a choice that is large enough for all coefficients, whatever a row measures."""
+def _rows_for_rough_fit(problem: Problem) -> np.ndarray:
+    """Row numbers of a choice large enough for a robust fit of all coefficients, whatever a row measures."""
     numbers = sum(channel.size for channel in problem.channels) / len(problem.channels)
     most = max(ROUGH_ROWS, 4 * len(problem.model.coefficients))
     return thin(problem.rows, round(most * max(1.0, NUMBERS / numbers)), problem.groups)
 
 
 def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
-    """Row numbers: all, or a reproducible random choice of about ``most`` of them in order, of every frame its share.
+    """Ascending row numbers: all, or a reproducible random choice of about ``most``, every frame with its share.
 
-    Rows of things that have few are taken together or not at all: one row of a thing tells of nothing else.
+    Where things have few rows each, all rows of a thing are chosen or none: one row tells nothing beside the thing's place.
     """
     if len(rows) <= most:
         return np.arange(len(rows))
@@ -492,24 +495,24 @@ def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
         order = rng.permutation(len(groups.unknown))[groups.row]
         return np.flatnonzero(order <= np.partition(order, most)[most])
     pair = rows.world * (rows.tip.max() + 1) + rows.tip
-    chosen = []
+    choices = []
     for k in np.unique(pair):
-        own = np.flatnonzero(pair == k)
-        share = max(most * len(own) // len(rows), min(len(own), FEWEST))
-        chosen.append(rng.choice(own, share, replace=False))
-    return np.sort(np.concatenate(chosen))
+        rows_of_pair = np.flatnonzero(pair == k)
+        share = max(most * len(rows_of_pair) // len(rows), min(len(rows_of_pair), FEWEST))
+        choices.append(rng.choice(rows_of_pair, share, replace=False))
+    return np.sort(np.concatenate(choices))
 
 
-def _narrowed(problem: Problem, kept: Sequence[int]) -> Problem:
-    """The same rows for fewer coefficients: their bases follow."""
+def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
+    """The problem for some of its coefficients alone, with their bases."""
     if len(kept) == len(problem.model.coefficients):
         return problem
     return replace(problem, measured=problem.measured.narrowed(kept))
 
 
-def _estimate(told: Combined, sigma: np.ndarray) -> np.ndarray:
-    """Noise of each channel from the residuals, shape (C,): sum of squares over the degrees of freedom that it has left."""
-    equations = told.equations
-    freedom = equations.count - equations.spent(inverse(told.information(sigma), ridge=0.0), sigma)
-    left = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
-    return np.where(freedom > LEAST_FREEDOM, np.maximum(left, FLOOR), sigma)
+def _noise_of_residuals(combined: Combined, sigma: np.ndarray) -> np.ndarray:
+    """Noise of each channel from the residuals, shape (C,): the root of squares over the remaining degrees of freedom."""
+    equations = combined.equations
+    freedom = equations.count - equations.spent(inverse(combined.information(sigma), ridge=0.0), sigma)
+    sigma_of_residuals = np.sqrt(equations.rr / np.where(freedom > LEAST_FREEDOM, freedom, 1.0))
+    return np.where(freedom > LEAST_FREEDOM, np.maximum(sigma_of_residuals, FLOOR), sigma)

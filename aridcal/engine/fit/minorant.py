@@ -1,4 +1,4 @@
-r"""Variances where the fit of the columns is held as it is: what the restricted likelihood is at the least.
+r"""A lower bound of the restricted likelihood over the variances, the fit of the columns held.
 
 In :mod:`aridcal.engine.fit.variance_components` two parts of the likelihood cost much, as all rows share the columns. About
 variances :math:`\theta_0`, at which the columns leave :math:`e_i` of row i and their fit has the covariance :math:`C_i`
@@ -34,8 +34,8 @@ HALVINGS = 12
 
 def moments(V: np.ndarray, pull: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     """M of each row, shape (N, m, m), from V, P y and P_ii of each: C = V - V P V, and e = V P y."""
-    left = np.einsum("nij,nj->ni", V, pull)
-    return np.asarray(V - V @ kernel @ V + left[:, :, None] * left[:, None, :])
+    residual = np.einsum("nij,nj->ni", V, pull)
+    return np.asarray(V - V @ kernel @ V + residual[:, :, None] * residual[:, None, :])
 
 
 @dataclass(frozen=True)
@@ -44,59 +44,59 @@ class Bound:
 
     Attributes:
         blocks: Covariance of each row per unit of each variance, shape (C, N, m, m).
-        stated: What no component scatters, shape (N, m, m).
+        fixed: Covariance of the numbers that no component scatters, shape (N, m, m).
         M: See :func:`moments`, shape (N, m, m).
     """
 
     blocks: np.ndarray
-    stated: np.ndarray
+    fixed: np.ndarray
     M: np.ndarray
 
     def best(self, theta: np.ndarray, free: np.ndarray, low: np.ndarray) -> np.ndarray:
         """Variances at which the bound is highest, shape (C,).
 
         Args:
-            theta: To begin with, shape (C,).
-            free: Those that may move, shape (C,) bool.
-            low: Below which they do not fall, shape (C,).
+            theta: Variances to begin with, shape (C,).
+            free: Variances that may move, shape (C,) bool.
+            low: Below which variances do not fall, shape (C,).
         """
-        own = np.flatnonzero(free)
-        B, low, at = self.blocks[own], low[own], theta[own]
+        active = np.flatnonzero(free)
+        B, low, at = self.blocks[active], low[active], theta[active]
         value, inverse = self._of(B, at)
         for _ in range(STEPS if np.isfinite(value) else 0):
             # tr(V^-1 (M - V) V^-1 B_k) / 2 and tr(V^-1 B_k V^-1 B_l) / 2.
-            flat = B.reshape(len(own), -1)
+            flat = B.reshape(len(active), -1)
             score = 0.5 * (flat @ (inverse @ self.M @ inverse - inverse).ravel())
-            half = (inverse @ B).reshape(len(own), *inverse.shape)
-            turned = half.transpose(0, 1, 3, 2).reshape(len(own), -1)
-            information = 0.5 * half.reshape(len(own), -1) @ turned.T
+            half = (inverse @ B).reshape(len(active), *inverse.shape)
+            turned = half.transpose(0, 1, 3, 2).reshape(len(active), -1)
+            information = 0.5 * half.reshape(len(active), -1) @ turned.T
             moving = ~((at <= low) & (score <= 0.0))
-            step = np.zeros(len(own))
+            step = np.zeros(len(active))
             step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])
             if float(score @ step) < SETTLED:
                 at = np.maximum(at + step, low)
                 break
             for _ in range(HALVINGS):
-                wanted = np.maximum(at + step, low)
-                there, inner = self._of(B, wanted)
+                stepped = np.maximum(at + step, low)
+                there, inner = self._of(B, stepped)
                 if there >= value:
                     break
                 step = 0.5 * step
             else:
                 break
-            at, value, inverse = wanted, there, inner
+            at, value, inverse = stepped, there, inner
         after = theta.copy()
-        after[own] = at
+        after[active] = at
         return after
 
     def height(self, theta: np.ndarray) -> float:
         """The bound at some variances, shape (C,), but for a constant."""
-        used = theta > 0.0
-        return self._of(self.blocks[used], theta[used])[0]
+        positive = theta > 0.0
+        return self._of(self.blocks[positive], theta[positive])[0]
 
     def _of(self, B: np.ndarray, theta: np.ndarray) -> tuple[float, np.ndarray]:
         """The bound for some of the blocks, and the rows' V^-1, shape (N, m, m); -inf where a V is not positive."""
-        V = np.tensordot(theta, B, axes=1) + self.stated
+        V = np.tensordot(theta, B, axes=1) + self.fixed
         try:
             L = np.linalg.cholesky(V)
         except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""What repeats say of the noise, rows of one place of each other, and the rows' own scatter of a declared one."""
+"""Noise from repeats, correlation of rows of one place, and contradictions between declared noise and residuals."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Repeats:
 def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     """Scatter of rows that repeat a configuration; None where none does.
 
-    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model knows how much. Of other kinds
-    those rows repeat one that also are of one block and refer to the same things: several marks in one image do not.
+    Residuals, not raw poses, are compared: readings of repeats differ a little, and the model predicts the difference. Repeats
+    of other kinds are of one block and refer to the same things: several marks in one image are no repeats.
 
     Args:
         rows: N rows.
@@ -56,28 +56,28 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
     rows, residual = rows.select(first), residual if first.all() else residual[first]
     label = places(rows)
     size = np.bincount(label)
-    own = size[label] > 1
+    repeated = size[label] > 1
     groups = int((size > 1).sum())
     if groups == 0:
         return None
     total = np.zeros((len(size), residual.shape[1]))
     np.add.at(total, label, residual)
     centre = total[label] / size[label, None]
-    off = (residual - centre)[own]
+    off = (residual - centre)[repeated]
     # The centre is estimated from the same rows: distances come out too short by this factor.
-    n = size[label[own]]
+    n = size[label[repeated]]
     sigma, freedom, distances = [], [], [np.empty(0)]
     of_targets = [block.traits.tracked for block in rows.blocks for _ in block.channels]
-    parts = zip(rows.channels, columns(rows.channels), rows.measures[own].T, of_targets, strict=True)
+    parts = zip(rows.channels, columns(rows.channels), rows.measures[repeated].T, of_targets, strict=True)
     for channel, part, there, of_target in parts:
-        few = there.sum() - len(np.unique(label[own][there]))
+        few = there.sum() - len(np.unique(label[repeated][there]))
         freedom.append(float(channel.size * few))
         sigma.append(float(np.sqrt(np.sum(off[there][:, part] ** 2) / freedom[-1])) if few else np.nan)
         if of_target and channel.axes == TARGET_POSITION.axes:
             distances.append(np.linalg.norm(off[there][:, part], axis=1) * np.sqrt(n[there] / (n[there] - 1.0)))
     distance = np.concatenate(distances)
     spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
-    return Repeats(groups, int(own.sum()), np.array(sigma), np.array(freedom), spread)
+    return Repeats(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
 
 
 def copies(rows: Dataset) -> np.ndarray:
@@ -87,7 +87,7 @@ def copies(rows: Dataset) -> np.ndarray:
     """
     turned = np.zeros((len(rows), 0)) if rows.rotation is None else rows.rotation.reshape(len(rows), 9)
     unseen = np.where(np.isnan(rows.position[:, 0]), np.arange(len(rows)), -1)
-    # One after the other: where no configuration is repeated nothing else is looked at.
+    # Columns one after the other: where no configuration is repeated no other column is compared.
     columns = (
         column
         for part in (rows.repeats.configuration, rows.position, turned, unseen)
@@ -112,17 +112,17 @@ def declared_notices(rows: Dataset, estimated: np.ndarray, numbers: float) -> Se
         estimated: Noise that the residuals show, shape (C,).
         numbers: Degrees of freedom behind it.
     """
-    said = []
+    notices = []
     for channel, ratio in zip(rows.channels, contradicted(rows, estimated, numbers).tolist(), strict=True):
         if ratio != 1.0:
             small = "an error remains, or the declared noise is too small"
             meaning = small if ratio > 1 else "the declared noise is too large"
-            said.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
-    return said
+            notices.append(f"the residual is {ratio:.2g} times the declared {channel.name} noise: {meaning}")
+    return notices
 
 
 def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.ndarray:
-    """How many times the declared noise the residuals show, where they contradict it beyond chance; 1 elsewhere, shape (C,).
+    """Ratio of the residuals' noise to the declared, shape (C,); 1 for channels where chance explains the difference.
 
     Arguments as for :func:`declared_notices`.
     """
@@ -132,12 +132,12 @@ def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.nda
 
 
 def _of_one_place(rows: Dataset) -> np.ndarray:
-    """Numbers of rows of one place that see the same thing, shape (N,): marks of one image do not."""
+    """Number of each row's place and thing together, shape (N,): marks of one image are different things."""
     return by_appearance(first_alike([held_together(rows), rows.labels.block, *rows.labels.refers.T]))
 
 
 def independent_share(rows: Dataset, residual: np.ndarray) -> float:
-    r"""Of a row, how much it counts for where rows of one place err alike: 1 where they do not, or no place has two.
+    r"""How many independent rows a row counts for, as rows of one place err alike: 1 where they do not, or no place has two.
 
     With :math:`\rho` the correlation of the errors of two rows of one place, :math:`m_g` rows of place g tell as much as
 

@@ -63,7 +63,7 @@ class NormalEquations:
         return np.asarray((self.Ar / (sigma**2)[:, None]).sum(axis=0))
 
     def squares_left(self, theta: np.ndarray) -> np.ndarray:
-        """Sum of squares that a solution leaves in each channel, shape (C,)."""
+        """Sum of squared residuals of each channel at theta, shape (C,)."""
         return np.maximum(self.rr - 2 * self.Ar @ theta + self.AA @ theta @ theta, 0.0)
 
     def spent(self, inverse: np.ndarray, sigma: np.ndarray) -> np.ndarray:
@@ -71,36 +71,36 @@ class NormalEquations:
         return np.asarray(np.einsum("ij,cij->c", inverse, self.AA) / sigma**2)
 
     def minus(self, other: NormalEquations) -> NormalEquations:
-        """What is left when the rows of others are taken out."""
+        """The equations without the rows of the other sums."""
         return NormalEquations(self.AA - other.AA, self.Ar - other.Ar, self.rr - other.rr, self.count - other.count)
 
     def part(self, keep: np.ndarray) -> NormalEquations:
-        """Those of some of the unknowns."""
+        """The equations of some of the unknowns, all others held at zero."""
         return NormalEquations(self.AA[:, keep][:, :, keep], self.Ar[:, keep], self.rr, self.count)
 
-    def bordered(self, cross: np.ndarray, own: np.ndarray, pull: np.ndarray) -> NormalEquations:
-        """Those with d columns added, of which all products are known.
+    def bordered(self, cross: np.ndarray, among: np.ndarray, pull: np.ndarray) -> NormalEquations:
+        """The equations with d columns added behind the K, from their products.
 
         Args:
-            cross: With the columns that are there, shape (C, K, d).
-            own: With one another, shape (C, d, d).
-            pull: With the right-hand side, shape (C, d).
+            cross: Products of the K columns with the new ones, shape (C, K, d).
+            among: Products of the new columns with one another, shape (C, d, d).
+            pull: Products of the new columns with the right-hand side, shape (C, d).
         """
-        return NormalEquations(_bordered(self.AA, cross, own), np.hstack([self.Ar, pull]), self.rr, self.count)
+        return NormalEquations(_bordered(self.AA, cross, among), np.hstack([self.Ar, pull]), self.rr, self.count)
 
     def combined(self, T: np.ndarray) -> NormalEquations:
-        """Those with the last d unknowns replaced by combinations of them, T of shape (d, new)."""
+        """The equations with the last d unknowns replaced by their combinations T, shape (d, new)."""
         first = self.AA.shape[1] - len(T)
         kept, replaced = slice(first), slice(first, None)
         cross = self.AA[:, kept, replaced] @ T
-        own = T.T @ self.AA[:, replaced, replaced] @ T
-        AA = _bordered(self.AA[:, kept, kept], cross, own)
+        among = T.T @ self.AA[:, replaced, replaced] @ T
+        AA = _bordered(self.AA[:, kept, kept], cross, among)
         pull = self.Ar[:, replaced] @ T
         return NormalEquations(AA, np.hstack([self.Ar[:, kept], pull]), self.rr, self.count)
 
 
 def accumulate(A: Sequence[np.ndarray], r: Sequence[np.ndarray]) -> NormalEquations:
-    """Sums of columns (n, K) and right-hand sides (n,), one of each for every channel."""
+    """Normal equations from columns (n, K) and right-hand sides (n,), one of each for every channel."""
     information = np.array([a.T @ a for a in A])
     pull = np.array([a.T @ b for a, b in zip(A, r, strict=True)])
     squares = np.array([b @ b for b in r])
@@ -116,9 +116,9 @@ def _bordered(first: np.ndarray, cross: np.ndarray, last: np.ndarray) -> np.ndar
 
 
 def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """H brought to unit diagonal (plus a ridge), and the scale of its unknowns: metres and radians must not upset the rank.
+    """H scaled to unit diagonal (plus a ridge), and the scale of its unknowns: metres and radians must not upset the rank.
 
-    An unknown that moves nothing keeps a diagonal of 1 and a scale of 0: its solution is 0.
+    An unknown that moves nothing gets a diagonal of 1 and a scale of 0: its solution is 0.
     """
     diagonal = np.diag(H)
     moves = diagonal > TINY
@@ -130,12 +130,12 @@ def balanced(H: np.ndarray, ridge: float = 0.0) -> tuple[np.ndarray, np.ndarray]
 
 
 def directions(H: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues of matrices (G, U, U) brought to unit diagonal, infinite for what is rounding; vectors; scales of unknowns."""
+    """Eigenvalues of matrices (G, U, U) scaled to unit diagonal, infinite where rounding; eigenvectors; scales of unknowns."""
     size = np.sqrt(np.einsum("guu->gu", H))
     scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 0.0)
     values, vectors = np.linalg.eigh(H * scale[:, :, None] * scale[:, None, :])
-    told = values > UNTOLD * np.maximum(values[:, -1:], TINY)
-    return np.where(told, values, np.inf), vectors, scale
+    informed = values > UNTOLD * np.maximum(values[:, -1:], TINY)
+    return np.where(informed, values, np.inf), vectors, scale
 
 
 def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
@@ -145,14 +145,14 @@ def inverse(H: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
     S, scale = balanced(H, ridge)
     factor, failed = dpotrf(S.T, lower=1)  # symmetric; transposed, LAPACK need not turn it first
     if failed:
-        found = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
+        result = np.asarray(np.linalg.pinv(S, hermitian=True, rcond=RANK))
     else:
         lower = dpotri(factor, lower=1, overwrite_c=1)[0]
-        found = np.asarray(lower + lower.T)  # nothing stands above the diagonal
-        found.flat[:: len(H) + 1] *= 0.5
-    found *= scale
-    found *= scale[:, None]
-    return found
+        result = np.asarray(lower + lower.T)  # nothing stands above the diagonal
+        result.flat[:: len(H) + 1] *= 0.5
+    result *= scale
+    result *= scale[:, None]
+    return result
 
 
 def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0) -> np.ndarray:
@@ -170,8 +170,8 @@ def solve(H: np.ndarray, g: np.ndarray, damping: float = 0.0, ridge: float = 0.0
     S.flat[:: len(H) + 1] += damping
     pull = (g.T * scale).T
     factor, failed = dpotrf(S.T, lower=1, clean=0)
-    found = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
-    return np.asarray((found.T * scale).T)
+    solution = np.linalg.pinv(S, hermitian=True, rcond=RANK) @ pull if failed else dpotrs(factor, pull, lower=1)[0]
+    return np.asarray((solution.T * scale).T)
 
 
 def shortest(H: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -193,12 +193,12 @@ def condition(H: np.ndarray) -> float:
 
 
 def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
-    """Solutions with the first unknowns alone, the others zero, and with all, shape (K, 2), by one factorisation.
+    """Solutions for the first unknowns alone, the others zero, and for all, shape (K, 2), by one factorisation.
 
     Args:
         H: Shape (K, K).
         g: Shape (K,).
-        first: How many come first.
+        first: Number of the first unknowns.
     """
     S, scale = balanced(H, RIDGE)
     factor, failed = dpotrf(S.T, lower=1)
@@ -206,12 +206,12 @@ def nested_solutions(H: np.ndarray, g: np.ndarray, first: int) -> np.ndarray:
         alone = np.pad(solve(H[:first, :first], g[:first], ridge=RIDGE), (0, len(g) - first))
         return np.stack([alone, solve(H, g, ridge=RIDGE)], axis=1)
     forward = solve_triangular(factor, g * scale, lower=True, check_finite=False)
-    found = np.zeros((len(g), 2))
+    solutions = np.zeros((len(g), 2))
     # The factor of a leading block is the leading block of the factor.
     for k, count in enumerate((first, len(g))):
         leading = factor[:count, :count]
-        found[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
-    return found * scale[:, None]
+        solutions[:count, k] = solve_triangular(leading, forward[:count], trans=1, lower=True, check_finite=False)
+    return solutions * scale[:, None]
 
 
 def conditional(
@@ -235,11 +235,11 @@ def conditional(
 
 
 def root_of_inverse(M: np.ndarray, share: float) -> np.ndarray:
-    """W, shape (d, k), with W^T W the pseudo-inverse of information M, shape (k, k), over the d directions that it tells.
+    """W, shape (d, k), with W^T W the pseudo-inverse of information M, shape (k, k), over the d directions that M determines.
 
     Args:
         M: Information of k unknowns.
-        share: Of the largest eigenvalue, unknowns scaled alike, that one must reach.
+        share: Of the largest eigenvalue, unknowns scaled to unit diagonal, that a direction's must reach.
     """
     S, scale = balanced(M)
     S[:, scale == 0.0] = 0.0
@@ -247,8 +247,8 @@ def root_of_inverse(M: np.ndarray, share: float) -> np.ndarray:
     if not failed and dpocon(factor, np.abs(S).sum(axis=0).max(), uplo="L")[0] > SURE * share:
         return np.asarray(dtrtri(factor, lower=1)[0] * scale)
     values, vectors = np.linalg.eigh(S)
-    kept = values > share * max(float(values[-1]), np.finfo(float).tiny)
-    return np.asarray((vectors[:, kept] / np.sqrt(values[kept])).T * scale)
+    informed = values > share * max(float(values[-1]), np.finfo(float).tiny)
+    return np.asarray((vectors[:, informed] / np.sqrt(values[informed])).T * scale)
 
 
 def pseudo_inverse(H: np.ndarray, share: float) -> tuple[np.ndarray, int]:
@@ -258,14 +258,14 @@ def pseudo_inverse(H: np.ndarray, share: float) -> tuple[np.ndarray, int]:
 
 
 def across(free: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """What is left of columns (n, k) where others (n, f) may take up all that they can: motions that nobody can tell apart."""
+    """Columns (n, k) less their projection on the columns ``free`` (n, f), which can imitate that part."""
     if not free.shape[1]:
         return columns
     return np.asarray(columns - free @ np.linalg.lstsq(free, columns, rcond=None)[0])
 
 
 def last_log_determinant(H: np.ndarray, first: int) -> float:
-    """Logarithm of the determinant of what is left of the unknowns after the first ones, when these are solved for."""
+    """Logarithm of the determinant of the equations of the unknowns after the first ones, these being solved for."""
     S, scale = balanced(H, RIDGE)
     factor, failed = dpotrf(S.T, lower=1)
     if failed:
@@ -274,9 +274,9 @@ def last_log_determinant(H: np.ndarray, first: int) -> float:
 
 
 def added(
-    equations: NormalEquations, precision: np.ndarray, known: np.ndarray, spent: np.ndarray, sigma: np.ndarray
+    equations: NormalEquations, precision: np.ndarray, inverse_before: np.ndarray, spent: np.ndarray, sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Solution when d unknowns are added, and what each channel gives up then, from the inverse without them.
+    r"""Solution with d unknowns added, and degrees of freedom used up in each channel, from the inverse without them.
 
     .. math:: W = H_{aa}^{-1} H_{ab}, \quad S = H_{bb} - H_{ba} W, \quad
               \theta_b = S^{-1} (g_b - W^T g_a), \quad \theta_a = H_{aa}^{-1} g_a - W \theta_b
@@ -287,21 +287,21 @@ def added(
     Args:
         equations: Of K unknowns a and, after them, d unknowns b.
         precision: Of the prior of all, block by block, shape (K + d, K + d).
-        known: H_aa^-1 with its prior, shape (K, K).
+        inverse_before: H_aa^-1 with its prior, shape (K, K).
         spent: Degrees of freedom that each channel gives up without the unknowns b, shape (C,).
-        sigma: The noise that both are for, shape (C,).
+        sigma: Noise of each channel for both, shape (C,).
 
     Returns:
         theta, shape (K + d,), and the degrees of freedom with all, shape (C,).
     """
-    K = len(known)
+    K = len(inverse_before)
     H, g = equations.information(sigma) + precision, equations.pull(sigma)
-    W = known @ H[:K, K:]
+    W = inverse_before @ H[:K, K:]
     S = inverse(H[K:, K:] - H[K:, :K] @ W)
     last = S @ (g[K:] - W.T @ g[:K])
-    theta = np.concatenate([known @ g[:K] - W @ last, last])
-    left, size = g - H @ theta, np.maximum(np.diag(H), TINY)
-    if not np.sum(left**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
+    theta = np.concatenate([inverse_before @ g[:K] - W @ last, last])
+    remainder, size = g - H @ theta, np.maximum(np.diag(H), TINY)
+    if not np.sum(remainder**2 / size) <= BORDERED**2 * np.sum(g**2 / size):  # columns that nearly coincide
         theta = solve(H, g, ridge=RIDGE)
     cross = np.swapaxes(W.T @ equations.AA[:, :K, K:], 1, 2)
     more = W.T @ equations.AA[:, :K, :K] @ W - cross - np.swapaxes(cross, 1, 2) + equations.AA[:, K:, K:]
@@ -310,14 +310,14 @@ def added(
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of the coefficients beforehand.
+    """A normal prior of the coefficients.
 
     Attributes:
         mean: Shape (K,).
         precision: Shape (K, K).
-        basis: Combinations of coefficients, in columns, that are alike in how sure one is of them, for coefficients that follow
-            one another: square blocks along the diagonal of a matrix of shape (K, K). The samples of a smooth function are
-            far too alike themselves to be solved for one by one. None: each its own.
+        basis: Combinations of coefficients, in columns, of similar prior precision: square blocks along the diagonal of a matrix
+            of shape (K, K). Neighbouring samples of a smooth function are too alike to be solved for one by one. None: the
+            coefficients themselves.
     """
 
     mean: np.ndarray
@@ -333,7 +333,7 @@ class Prior:
 class Combined:
     """Equations of a step of K coefficients in the combinations that a prior holds independent.
 
-    With B the prior's basis, :math:`B^T A_c^T A_c B` is made once; each noise that is tried costs a sum of these.
+    With B the prior's basis, :math:`B^T A_c^T A_c B` is computed once; each trial of a noise costs a sum over channels.
     """
 
     def __init__(self, equations: NormalEquations, prior: Prior | None) -> None:
@@ -341,7 +341,7 @@ class Combined:
 
         Args:
             equations: Of the coefficients.
-            prior: What is believed of them.
+            prior: Their prior; None for none.
         """
         self._prior, self._blocks = prior, None if prior is None else prior.basis
         AA, Ar = _both_sides(self._blocks, equations.AA), _transposed(self._blocks, equations.Ar[..., None])[..., 0]
@@ -357,11 +357,11 @@ class Combined:
         g = self.equations.pull(sigma)
         if self._prior is None:
             return g
-        wanted = self._prior.precision @ (self._prior.mean - theta)
-        return np.asarray(g + _transposed(self._blocks, wanted[:, None])[:, 0])
+        pull_of_prior = self._prior.precision @ (self._prior.mean - theta)
+        return np.asarray(g + _transposed(self._blocks, pull_of_prior[:, None])[:, 0])
 
     def squares(self, theta: np.ndarray) -> float:
-        """How far coefficients are from what is believed of them, squared, in sigmas."""
+        """Squared distance of coefficients from the prior's mean, in sigmas."""
         if self._prior is None:
             return 0.0
         off = theta - self._prior.mean
@@ -372,7 +372,7 @@ class Combined:
         return _transposed(None if self._blocks is None else tuple(b.T for b in self._blocks), values)
 
     def covariance(self, inverse: np.ndarray) -> np.ndarray:
-        """Of the coefficients, shape (K, K), from that of the combinations."""
+        """Covariance of the coefficients, shape (K, K), from that of the combinations."""
         return _both_sides(None if self._blocks is None else tuple(b.T for b in self._blocks), inverse)
 
 

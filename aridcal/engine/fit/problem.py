@@ -1,4 +1,4 @@
-"""A model asked about the rows of a data set: measured minus predicted, and its derivatives."""
+"""A model and the rows of a data set: residuals, measured minus predicted, and their derivatives."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Pieces:
         r: Scaled residuals, shape (n, m); 0 where a row does not measure a channel.
         J: Columns of the coefficients, things held, shape (n, m, K).
         B: Columns of the unknowns of the rows' groups, shape (n, m, U); U = 0 where there are none.
-        agreed: Joint positions nearer to where the measurements agree with the model, shape (n, joints).
+        agreed: Joint positions one step nearer to those at which measurements and model agree, shape (n, joints).
     """
 
     r: np.ndarray
@@ -38,13 +38,13 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Problem:
-    """A model asked about the rows of a data set, each of its weight.
+    """A model with the rows of a data set that it is to predict.
 
     Attributes:
         data: N rows, m numbers each.
-        measured: What they read and of which things, beside the model, K coefficients.
+        measured: The rows as the model of K coefficients predicts them: what they read, and of which things.
         groups: Unknowns of things that are solved for beside the coefficients; None where there are none.
-        progress: Told how far each pass over the rows is.
+        progress: Called with the rows done in each pass over them.
     """
 
     data: Dataset
@@ -57,7 +57,7 @@ class Problem:
 
     @property
     def model(self) -> Model:
-        """What is to predict the rows."""
+        """The model that predicts the rows."""
         return self.measured.model
 
     @property
@@ -72,7 +72,7 @@ class Problem:
 
     @property
     def instruments(self) -> Instruments:
-        """All things that model or rows know of."""
+        """All things that the model or the rows refer to."""
         return self.measured.instruments
 
     @property
@@ -81,23 +81,23 @@ class Problem:
         return self.data.channels
 
     def blocks(self) -> Iterator[slice]:
-        """Stretches of rows that are differentiated at a time; their passing is told."""
+        """Stretches of rows that are differentiated at a time; each is reported to ``progress``."""
         yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
 
     def limbs(self, part: slice) -> list[slice | np.ndarray]:
-        """Rows of a stretch that take the same path, by their places in it."""
+        """Rows of a stretch grouped by the path that they take, as their places in the stretch."""
         if self.rows.route is None:
             return [slice(None)]
         route = self.rows.route[part]
         return [np.flatnonzero(route == path) for path in np.unique(route)]
 
     def select(self, some: np.ndarray) -> Problem:
-        """The same question about some of the rows."""
+        """The problem of some of the rows."""
         groups = None if self.groups is None else self.groups.select(some)
         return replace(self, data=self.data.select(some), measured=self.measured[some], groups=groups)
 
     def with_states(self, states: States) -> Problem:
-        """The same with the things elsewhere."""
+        """The problem with the things at other places."""
         return replace(self, measured=replace(self.measured, states=states))
 
     def residual(self, theta: np.ndarray) -> np.ndarray:
@@ -105,35 +105,35 @@ class Problem:
         return self.measured.residual(theta)
 
     def scaled_residual(self, theta: np.ndarray) -> np.ndarray:
-        """The same, divided by the rows' relative sigmas."""
+        """Residuals divided by the rows' relative sigmas, shape (N, m)."""
         return scaled(self.residual(theta), self.data.relative)
 
     def linearised(self, theta: np.ndarray, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled residuals (n, m) of a stretch of rows, and what each coefficient takes off them, shape (n, m, K)."""
+        """Scaled residuals (n, m) of a stretch of rows, and the columns of the coefficients, shape (n, m, K)."""
         pieces = self.pieces(theta, part)
         return pieces.r, pieces.J
 
     def pieces(self, theta: np.ndarray, part: slice = slice(None)) -> Pieces:
-        """Scaled residuals of a stretch of rows, and what takes them off."""
+        """Scaled residuals of a stretch of rows, with the columns of coefficients and of things."""
         here, relative = self.measured[part], None if self.data.relative is None else self.data.relative[part]
         if here.direct:
             r, twists = self.of_joints(theta, part)
             J = self.model.of_coefficients(twists, here.rows)
             return Pieces(r, J, np.zeros((*r.shape, 0)), here.rows.positions)
-        seen = here.sight(theta)
-        none = np.zeros((*seen.residual.shape, 0))
-        B = none if self.groups is None else self.groups.columns(seen.by_thing, part)
-        r, J, B = (scaled(values, relative) for values in (seen.residual, seen.by_coefficient, B))
-        return Pieces(r, J, B, seen.agreed)
+        views = here.sight(theta)
+        none = np.zeros((*views.residual.shape, 0))
+        B = none if self.groups is None else self.groups.columns(views.by_thing, part)
+        r, J, B = (scaled(values, relative) for values in (views.residual, views.by_coefficient, B))
+        return Pieces(r, J, B, views.agreed)
 
     def of_joints(self, theta: np.ndarray, part: slice) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled residuals (n, m) of a stretch of direct rows, and what joints take off them, (n, m, joints)."""
+        """Scaled residuals (n, m) of a stretch of direct rows, and the columns of the model's joints, (n, m, joints)."""
         relative = None if self.data.relative is None else self.data.relative[part]
         r, twists = self.measured[part].of_joints(theta, relative is not None)
         return scaled(r, relative), scaled(twists, relative)
 
     def carried(self, theta: np.ndarray, covariance: np.ndarray, part: slice) -> np.ndarray:
-        """What a covariance of the coefficients, (K, K), makes of the scaled residuals of a stretch of rows, (n, m, m)."""
+        """Covariance that the coefficients' covariance, (K, K), gives the predictions of a stretch of rows, scaled, (n, m, m)."""
         local = self.local
         if local is None:
             return carried(self.pieces(theta, part).J, covariance)
@@ -141,17 +141,17 @@ class Problem:
 
     @property
     def local(self) -> Local | None:
-        """Which coefficients act in few rows, if direct rows are many; None where a column for each of them is quicker."""
+        """Which coefficients act in few rows, if direct rows are many; None where a column for each coefficient is quicker."""
         return self.model.local if self.measured.direct else None
 
     def taken(self, weight: np.ndarray) -> np.ndarray:
-        """Numbers of each channel that unknown things take up, shape (C,), in rows of some weight, shape (N,)."""
+        """Numbers of each channel that unknown things take up, shape (C,), in the rows whose weight, shape (N,), is not 0."""
         count = np.zeros(len(self.channels))
         if self.groups is None:
             return count
-        used = (weight > 0.0) & (self.groups.row >= 0)
+        in_use = (weight > 0.0) & (self.groups.row >= 0)
         sizes = self.groups.unknown.sum(axis=1)
-        pair = self.groups.row[used] * len(count) + self.data.measures[used].argmax(axis=1)
+        pair = self.groups.row[in_use] * len(count) + self.data.measures[in_use].argmax(axis=1)
         rows = np.bincount(pair, minlength=len(sizes) * len(count)).reshape(len(sizes), len(count))
         return np.asarray(sizes @ (rows / np.maximum(rows.sum(axis=1, keepdims=True), 1)))
 
@@ -160,41 +160,43 @@ class Problem:
         return self.groups.row[part] if self.groups is not None else np.full(len(self.rows[part]), -1)
 
     def beforehand(self) -> Known | None:
-        """What is known of the groups beforehand, about where their things are."""
+        """Prior knowledge of the groups, linearised where their things are; None without groups."""
         return None if self.groups is None else known(self.groups, self.instruments, self.states)
 
     def settled(self, theta: np.ndarray) -> Problem:
-        """The same with the things that the model does not know found from these rows alone."""
+        """The problem with things that the model does not know put where these rows alone have them."""
         return replace(self, measured=self.measured.settled(theta))
 
     def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
-        """The same with the groups' unknowns moved, shape (G, U), and differentiated at positions (N, joints) if given."""
+        """The problem after a step of the groups' unknowns, (G, U); differentiated at joint positions (N, joints) if given."""
         states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
-        seen = replace(self.measured, states=states)
+        predictions = replace(self.measured, states=states)
         if agreed is not None:
-            seen = replace(seen, agreed=self._rows_at(agreed) if seen.wide is not None else seen.rows)
-        return replace(self, measured=seen)
+            predictions = replace(
+                predictions, agreed=self._rows_at(agreed) if predictions.wide is not None else predictions.rows
+            )
+        return replace(self, measured=predictions)
 
     def _rows_at(self, positions: np.ndarray) -> Rows:
         """The rows at other joint positions, shape (N, joints)."""
         return rows_at(self.measured, self.data, positions)
 
     def agreeing(self, theta: np.ndarray) -> Problem:
-        """The same, differentiated where measurements and model agree, unless it is already; see :meth:`Measured.agreeing`."""
+        """The problem differentiated where measurements and model agree; see :meth:`Measured.agreeing`."""
         if self.measured.agreed is not None:
             return self
         return replace(self, measured=self.measured.agreeing(theta, self._rows_at))
 
 
 def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem:
-    """Ask a model about a data set.
+    """The problem of a model and a data set, things where the model has them.
 
     Raises:
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    seen = measured(model, data)
-    return Problem(data, seen, groups(seen), progress)
+    predictions = measured(model, data)
+    return Problem(data, predictions, groups(predictions), progress)
 
 
 def scaled(values: np.ndarray, relative: np.ndarray | None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a calibration is asked: which frames and constants are unknown, what is stated, and which effects may be sought."""
+"""The question of a calibration: which frames and constants are unknown, what the campaign declares, what the search may add."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ class EndFrame:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of the rows of a robot.
+    """What a campaign asks of the rows of a robot.
 
     Attributes:
         world_base: T_world_base.
-        tip_target: T_tip_target of a target without a label, and the hint for those of which nothing is said.
-        targets: Of targets with labels.
+        tip_target: T_tip_target of a target without a label, and the hint for labels that ``targets`` does not have.
+        targets: T_tip_target of targets with labels, by label.
         target_on: Links other than the tip that carry targets, by the targets' labels.
         constants: Set of constants: ``full``, ``doty``, ``angles`` or ``none``.
         gravity: In the base frame, shape (3,), [m/s^2]; None: along -z of the world frame.
-        payloads: Masses that hang at links; none: at the target of the default path, where rows have a payload.
-        effects: Effects that are stated.
-        sought: Kinds of effects that may be sought beside them.
-        source: Who asks, for messages: the file of a campaign.
+        payloads: Masses that hang at links; if empty, the payload of the rows hangs at the target of the default path.
+        effects: Effects that the campaign declares.
+        sought: Kinds of effects that the search may add to them.
+        source: The file of the campaign, for messages.
     """
 
     world_base: EndFrame = EndFrame()
@@ -61,13 +61,13 @@ class Question:
 
     @property
     def by_station(self) -> bool:
-        """True where a frame is one for each station, so that every row must say at which it is."""
+        """True where a frame is one for each station, so that every row must name its station."""
         return self.world_base.by_station or self.tip_target.by_station
 
     def target(self, label: str | None) -> EndFrame:
-        """The frame of a target by its label; one that no key names has the hint of all."""
+        """The frame of a target by its label; :attr:`tip_target` for labels that the campaign does not name."""
         return self.targets.get(str(label), self.tip_target)
 
     def without_search(self) -> Question:
-        """The same with the stated effects alone."""
+        """The same question with the declared effects alone."""
         return replace(self, sought=())

@@ -1,4 +1,4 @@
-"""Sums over the rows of a problem: its normal equations, and what is left of rows when things are solved for."""
+"""Sums over the rows of a problem: its normal equations, and residuals and columns once things are solved for."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NUMBERS = 1024
 
 
 def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:
-    """What the last coefficients alone take off the scaled residuals, things held, shape (N, m, count)."""
+    """Columns of the last coefficients in the scaled residuals, things held, shape (N, m, count)."""
     size = sum(channel.size for channel in question.channels)
     J = np.empty((len(question), size, count))
     for block in question.blocks():
@@ -48,8 +48,8 @@ class Linearisation:
         residual: Scaled, shape (N, m); NaN where a row does not measure a channel.
         weight: Of each row, shape (N,).
         equations: Their sums, weights included; the unknowns of groups are solved for.
-        agreed: Joint positions at which the measurements agree with the model, shape (N, joints), one step nearer.
-        groups: Those, solved; None where there are none.
+        agreed: Joint positions one step nearer to those at which measurements and model agree, shape (N, joints).
+        groups: The groups of unknown things, solved; None where there are none.
     """
 
     residual: np.ndarray
@@ -59,7 +59,7 @@ class Linearisation:
     groups: Eliminated | None = None
 
     def squares(self, weight: np.ndarray, sigma: np.ndarray, channels: Channels) -> float:
-        """Sum of squares in sigmas, rows counted by weight, and of what stated facts on the things leave."""
+        """Sum of squares in sigmas, rows counted by weight, with the squares of the declared facts on the things."""
         rows = float(np.sum(weighted_squares(self.residual, weight, channels) / sigma**2))
         return rows if self.groups is None else rows + self.groups.squares
 
@@ -75,13 +75,13 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         question: K coefficients, N rows.
         theta: Values of the coefficients, shape (K,).
         weight: Of each row, shape (N,); None: Cauchy's, at scale ``sigma``.
-        sigma: See ``weight``, shape (C,); the channels weigh so in what groups of several are solved for.
+        sigma: Noise of each channel, shape (C,): the scale of ``weight``, and the weights of channels in groups of several.
     """
     question = question.agreeing(theta)
     channels, count = question.channels, len(theta)
     AA, Ar = np.zeros((len(channels), count, count)), np.zeros((len(channels), count))
     sums = _sums(question, count)
-    parts, used, nearer = [], [], []
+    parts, weights, nearer = [], [], []
     local = question.local
     for block in question.blocks():
         if local is not None:
@@ -92,26 +92,26 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
             AA += local.information(twists, phi, columns(channels))
             Ar += local.pull(twists, phi, r * root, columns(channels))
             parts.append(r)
-            used.append(w)
+            weights.append(w)
             continue
         pieces = question.pieces(theta, block)
         r, J, B = pieces.r, pieces.J, pieces.B
         nearer.append(pieces.agreed)
-        seen = np.where(question.measured[block].absent, np.nan, r)
-        w = cauchy(seen, sigma, channels) if weight is None else weight[block]
+        numbers = np.where(question.measured[block].absent, np.nan, r)
+        w = cauchy(numbers, sigma, channels) if weight is None else weight[block]
         root = np.sqrt(w * question.data.repeats.share)[:, None]
         if sums is not None:
-            own, wide = root[:, :, None], question.group_of(block)
-            sums.add(wide, B * own, J * own, r * root, channels)
+            root_of_rows, group = root[:, :, None], question.group_of(block)
+            sums.add(group, B * root_of_rows, J * root_of_rows, r * root, channels)
         for rows, some, X in _by_limb(question, block, J, MANY):
             for k, part in enumerate(columns(channels)):
                 # Number by number: rows run fastest in J, or slowest.
                 A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
                 AA[k][np.ix_(some, some)] += (A @ A.transpose(0, 2, 1)).sum(axis=0)
                 Ar[k][some] += (A @ (r[rows, part] * root[rows]).T[:, :, None])[:, :, 0].sum(axis=0)
-        parts.append(seen)
-        used.append(w)
-    residual, weight = np.concatenate(parts), np.concatenate(used)
+        parts.append(numbers)
+        weights.append(w)
+    residual, weight = np.concatenate(parts), np.concatenate(weights)
     parts.clear()
     counted = weight * question.data.repeats.share
     rr = weighted_squares(residual, counted, channels)
@@ -119,13 +119,13 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
     beforehand, at = question.beforehand(), np.concatenate(nearer) if nearer else question.rows.positions
     if sums is None or question.groups is None or beforehand is None:
         return Linearisation(residual, weight, equations, at)
-    found = solved(sums, question.groups, beforehand, sigma)
-    equations = reduced(equations, sums, found, beforehand, sigma)
-    return Linearisation(residual, weight, equations, at, found)
+    elimination = solved(sums, question.groups, beforehand, sigma)
+    equations = reduced(equations, sums, elimination, beforehand, sigma)
+    return Linearisation(residual, weight, equations, at, elimination)
 
 
 def _sums(question: Problem, count: int) -> Sums | None:
-    """Sums of groups to begin with; None where there are no groups."""
+    """Empty sums of the groups; None where there are no groups."""
     if question.groups is None:
         return None
     channels, (many, width) = len(question.channels), question.groups.unknown.shape
@@ -152,12 +152,12 @@ def weighted_squares(residual: np.ndarray, weight: np.ndarray, channels: Channel
 def eliminated(
     question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less what the things take up.
+    """Stretches of rows with their scaled residuals (n, m) and columns (n, m, K), less the part that the things take up.
 
     Args:
         question: K coefficients.
         theta: Their values.
-        weight: Of each row, shape (N,): what things take up is found with these.
+        weight: Of each row, shape (N,): the things are solved for with these.
         sigma: Noise of each channel, shape (C,).
     """
     question, things = _with_things(question, theta, weight, sigma)
@@ -175,7 +175,7 @@ def _with_things(
 def _without_things(
     question: Problem, theta: np.ndarray, things: Eliminated | None
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-    """What :func:`eliminated` yields, the groups being solved."""
+    """Stretches as of :func:`eliminated`, for groups that are solved."""
     for block in question.blocks():
         part = question.pieces(theta, block)
         if things is None:
@@ -185,7 +185,7 @@ def _without_things(
 
 
 def taking_off(question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray) -> Projector | None:
-    """What takes the unknowns of things off columns of all rows; None where there are none. See :func:`eliminated`."""
+    """The projector that takes the unknowns of things off columns of all rows; None without unknown things."""
     question, things = _with_things(question, theta, weight, sigma)
     if things is None:
         return None
@@ -203,7 +203,7 @@ def triangle(
         theta: Their values, shape (K,).
         weight: Of each row, shape (N,).
         sigma: Noise of each channel, shape (C,).
-        of: Numbers of k coefficients whose columns are asked about, all else held.
+        of: Numbers of the k coefficients whose columns count, all others held.
     """
     question, things = _with_things(question, theta, weight, sigma)
     per_number, beforehand = spread(1.0 / sigma, question.channels), question.beforehand()
@@ -217,9 +217,9 @@ def triangle(
         for _, some, X in _by_limb(question, block, whitened):
             flat = X.reshape(X.shape[0] * X.shape[1], len(some))
             for start in range(0, len(flat), NUMBERS):
-                own = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
-                parts.append(np.zeros((len(own), count)))
-                parts[-1][:, some] = own
+                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+                parts.append(np.zeros((len(triangle_of_part), count)))
+                parts[-1][:, some] = triangle_of_part
         R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return R
 
@@ -227,20 +227,20 @@ def triangle(
 def _by_limb(
     question: Problem, block: slice, J: np.ndarray, many: float = np.inf
 ) -> Iterator[tuple[slice | np.ndarray, np.ndarray, np.ndarray]]:
-    """Rows of a stretch that take the same path, the columns of J that may move them, and these of J, (n, m, k).
+    """Rows of a stretch path by path, the numbers of the columns of J that may move them, and these columns, (n, m, k).
 
-    Other limbs move none of them; where there is one path only, of more columns than so many those that are zero are left out.
+    Other limbs move none of these rows. Where all take one path, columns of zeros are left out if J has more than ``many``.
     """
     limbs = question.limbs(block)
     for rows in limbs:
-        own, some = J[rows], np.arange(J.shape[2])
+        columns_of_limb, some = J[rows], np.arange(J.shape[2])
         if len(limbs) > 1 or len(some) > many:
-            some = np.flatnonzero(own.any(axis=(0, 1)))
-        yield rows, some, own[:, :, some] if len(some) < J.shape[2] else own
+            some = np.flatnonzero(columns_of_limb.any(axis=(0, 1)))
+        yield rows, some, columns_of_limb[:, :, some] if len(some) < J.shape[2] else columns_of_limb
 
 
 def things_again(question: Problem, theta: np.ndarray, weight: np.ndarray | None = None) -> Problem:
-    """The same with the things found anew where the coefficients are theta.
+    """The problem with its things solved for anew at the coefficients theta.
 
     Args:
         question: N rows.

@@ -1,4 +1,4 @@
-r"""Residuals, what may make them scatter, and the restricted likelihood of variances with its slope and its curvature.
+r"""Residuals, the components of their scatter, and the restricted likelihood of variances with its slope and curvature.
 
 Formulas and references: :mod:`aridcal.engine.fit.variance_components`, which maximises it. Most of the work is one product
 U'U of the whitened columns, and one triangular solve with as many numbers. With columns that are orthonormal somewhere near
@@ -38,9 +38,9 @@ class Columns:
         y: Residuals, shape (N, m).
         A: Columns, shape (N, m, K).
         precision: Of their coefficients' prior, shape (K, K).
-        units: What the columns of each row are to be multiplied by, shape (N, m, m); None for nothing.
+        units: Factors that the columns of each row are still to be multiplied by, shape (N, m, m); None for none.
         slope: Of half the prior's square at coefficients of zero, shape (K,).
-        offset: What is to be added to twice the negative log-likelihood.
+        offset: To be added to twice the negative log-likelihood.
     """
 
     y: np.ndarray
@@ -53,20 +53,19 @@ class Columns:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Residuals and what may make them scatter: N rows of m numbers, K columns, C components.
+    """Residuals and the components of their scatter: N rows of m numbers, K columns, C components.
 
     Attributes:
         y: Residuals, shape (N, m).
         A: Columns that are fitted, shape (N, m, K).
         precision: Of their coefficients' prior, shape (K, K).
         blocks: Covariance of each row per unit of each component's variance, shape (C, N, m, m). A number that no
-            component scatters has the variance 1: it is not measured (and has zeros elsewhere), or states what is known
-            beforehand, in sigmas.
-        things: Columns of what is unknown of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
-            nothing is.
+            component scatters has the variance 1: it is not measured (and has zeros elsewhere), or is prior knowledge, in
+            sigmas.
+        things: Columns of the unknowns of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
+            there are none.
         clump: Of each row, shape (N,), -1 for none.
-        near: The same residuals and columns, these combined and in single precision, as they are best to compute with; see
-            :func:`conditioned`.
+        near: The same residuals and columns combined and in single precision, for speed; see :func:`conditioned`.
     """
 
     y: np.ndarray
@@ -79,12 +78,12 @@ class Scatter:
 
     @property
     def columns(self) -> Columns:
-        """As they are."""
+        """Residuals and columns as they are, not conditioned."""
         return Columns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
 
     @cached_property
-    def stated(self) -> np.ndarray:
-        """Covariance of what no component scatters, shape (N, m, m)."""
+    def fixed(self) -> np.ndarray:
+        """Covariance of the numbers that no component scatters, shape (N, m, m)."""
         apart = np.einsum("cnii->ni", self.blocks) == 0.0
         return np.asarray(apart[:, :, None] * np.eye(apart.shape[1]))
 
@@ -92,9 +91,9 @@ class Scatter:
     def gather(self) -> csr_array:
         """Sums over the rows of each clump, shape (clumps, N)."""
         assert self.clump is not None
-        own = np.flatnonzero(self.clump >= 0)
+        in_clump = np.flatnonzero(self.clump >= 0)
         shape = (int(self.clump.max(initial=-1)) + 1, len(self.clump))
-        return coo_array((np.ones(len(own)), (self.clump[own], own)), shape=shape).tocsr()
+        return coo_array((np.ones(len(in_clump)), (self.clump[in_clump], in_clump)), shape=shape).tocsr()
 
     def summed(self, values: np.ndarray) -> np.ndarray:
         """Sums of values, shape (N, ...), over the rows of each clump, shape (clumps, ...)."""
@@ -102,7 +101,7 @@ class Scatter:
 
 
 def full_rank(scatter: Scatter) -> Scatter:
-    """The same with columns of things that span what they spanned in each clump, and are orthonormal there or 0."""
+    """The scatter with columns of things that span the same in each clump, and are orthonormal there or 0."""
     B = scatter.things
     if B is None or scatter.clump is None:
         return scatter
@@ -112,10 +111,10 @@ def full_rank(scatter: Scatter) -> Scatter:
 
 
 def told_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Combinations of modes of unit prior of which the rows tell anything, orthonormal, shape (modes, told).
+    """Orthonormal combinations of modes of unit prior that the rows determine at all, shape (modes, combinations).
 
     Args:
-        column: Of the modes, shape (N, m, modes).
+        column: Columns of the modes, shape (N, m, modes).
         sigma: Noise of each number of a row, shape (m,).
     """
     white = (column / sigma[:, None]).reshape(-1, column.shape[2])
@@ -132,7 +131,7 @@ class Place:
         pull: P y, shape (N, m).
         kernel: P_ii, shape (N, m, m).
         root: Inverse Cholesky factors of the rows' covariances, shape (N, m, m).
-        T: Whitened columns, less what the things take off them, orthonormal but for the prior, shape (N m, K).
+        T: Whitened columns, less the part that the things take up, orthonormal but for the prior, shape (N m, K).
         Q: Whitened columns of the things, orthonormal in each clump, shape (N, m, U); None where there are none.
     """
 
@@ -150,7 +149,7 @@ class _White:
 
     Attributes:
         L: Cholesky factors of their covariances, shape (N, m, m).
-        root: Their inverses, likewise.
+        root: Inverses of these, shape (N, m, m).
         Q: See :class:`Place`.
         logdet: Of the covariances and of the things' equations.
     """
@@ -162,8 +161,8 @@ class _White:
 
 
 def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
-    """The same with columns besides that are orthonormal at some variances, shape (C,), and residuals that are small there."""
-    white, plain = _white(scatter, variance), scatter.columns
+    """The scatter with ``near`` set: columns that are orthonormal at some variances, shape (C,), and residuals small there."""
+    white, plain = _whiten(scatter, variance), scatter.columns
     if white is None:
         return scatter
     _, U, z, factor, scale = _equations(replace(scatter, near=None), white)
@@ -171,18 +170,18 @@ def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     prior = plain.precision * scale * scale[:, None] + np.diag(RIDGE + (scale == 0.0))
     half = solve_triangular(factor, prior, lower=True, check_finite=False)
     precision = solve_triangular(factor, half.T, lower=True, check_finite=False)
-    T = _divided(U, factor, scale)
-    left = (white.L @ (z - T @ t).reshape(*scatter.y.shape, 1))[:, :, 0]
+    T = _over_factor(U, factor, scale)
+    remainder = (white.L @ (z - T @ t).reshape(*scatter.y.shape, 1))[:, :, 0]
     slope = precision @ t
     offset = _logdet(factor, scale) + float(slope @ t)
     A = T.astype(np.float32).reshape(scatter.A.shape)
-    return replace(scatter, near=Columns(left, A, precision, white.L, slope, offset))
+    return replace(scatter, near=Columns(remainder, A, precision, white.L, slope, offset))
 
 
 def place(scatter: Scatter, theta: np.ndarray) -> Place:
-    """The likelihood at some variances, shape (C,); none at all where a channel is exact beside what else scatters."""
+    """The likelihood at some variances, shape (C,); minus infinity where the covariance of a row is not positive."""
     n, m, count = scatter.A.shape
-    white = _white(scatter, theta)
+    white = _whiten(scatter, theta)
     if white is None:
         nothing = np.zeros((n, m, m))
         return Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
@@ -190,21 +189,21 @@ def place(scatter: Scatter, theta: np.ndarray) -> Place:
     t = solve_triangular(factor, scale * (z.astype(U.dtype) @ U - columns.slope), lower=True, check_finite=False)
     best = scale * solve_triangular(factor, t, trans=1, lower=True, check_finite=False)
     logdet = white.logdet + _logdet(factor, scale)
-    T = U if np.may_share_memory(U, columns.A) else _divided(U, factor, scale)
-    rows, left = T.reshape(n, m, count), np.eye(m)
+    T = U if np.may_share_memory(U, columns.A) else _over_factor(U, factor, scale)
+    rows, projection = T.reshape(n, m, count), np.eye(m)
     if white.Q is not None:
-        left = left - white.Q @ white.Q.transpose(0, 2, 1)
-    left = left - rows @ rows.transpose(0, 2, 1)
+        projection = projection - white.Q @ white.Q.transpose(0, 2, 1)
+    projection = projection - rows @ rows.transpose(0, 2, 1)
     back = white.root.transpose(0, 2, 1)
     e = z - T @ t.astype(T.dtype)
     pull = back @ e.reshape(n, m, 1)
-    # Not z'z less t't, of which rounding may be more than is left.
+    # Not z'z less t't: rounding may exceed the difference.
     squares = float(e @ e) + float(best @ (columns.precision @ best + 2.0 * columns.slope))
     value = -0.5 * (logdet + squares + columns.offset)
-    return Place(value, pull[:, :, 0], back @ left @ white.root, white.root, T, white.Q)
+    return Place(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
 
 
-def _white(scatter: Scatter, theta: np.ndarray) -> _White | None:
+def _whiten(scatter: Scatter, theta: np.ndarray) -> _White | None:
     """Rows at some variances, shape (C,); None where the covariance of one is not positive."""
     V = covariances(scatter, theta)
     try:
@@ -221,8 +220,8 @@ def _white(scatter: Scatter, theta: np.ndarray) -> _White | None:
 
 def covariances(scatter: Scatter, theta: np.ndarray) -> np.ndarray:
     """V of each row, shape (N, m, m)."""
-    used = theta > 0.0
-    return np.asarray(np.tensordot(theta[used], scatter.blocks[used], axes=1) + scatter.stated)
+    positive = theta > 0.0
+    return np.asarray(np.tensordot(theta[positive], scatter.blocks[positive], axes=1) + scatter.fixed)
 
 
 def _orthonormal(scatter: Scatter, W: np.ndarray) -> tuple[np.ndarray, float]:
@@ -242,7 +241,7 @@ def _of_clumps(scatter: Scatter, Q: np.ndarray, values: np.ndarray) -> np.ndarra
 
 
 def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Columns that do, whitened, (N m, K), and residuals, (N m,); factor and scale of their equations."""
+    """Columns that are precise enough; these whitened, (N m, K); residuals, (N m,); factor and scale of their equations."""
     if scatter.near is not None:
         U, z = _whitened(scatter, white, scatter.near)
         if np.may_share_memory(U, scatter.near.A):
@@ -257,7 +256,7 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
 
 
 def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
-    """Columns (or they themselves), (N m, K), and residuals, (N m,), in units of the scatter, less what things take off."""
+    """Columns (not copied if they are so already), (N m, K), and residuals, (N m,), in units of the scatter, less things."""
     U, z = columns.A, white.root @ columns.y[:, :, None]
     there = columns.units is not None and np.array_equal(white.L, columns.units)  # then they are so already
     if not there:
@@ -271,9 +270,9 @@ def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.nda
     return U.reshape(-1, U.shape[2]), z.ravel()
 
 
-def _divided(U: np.ndarray, factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
+def _over_factor(U: np.ndarray, factor: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """U times scale over the transposed factor, in place of U."""
-    # The scale goes into the factor: U is long. What moves nothing has a column of zeros.
+    # The scale goes into the factor: U is long. A coefficient that moves nothing has a column of zeros.
     whole = (factor / np.where(scale > 0.0, scale, 1.0)[:, None]).astype(U.dtype, order="C")
     solved = dtrsm if U.dtype == np.float64 else strsm
     return np.asarray(solved(1.0, whole.T, U.T, trans_a=1, overwrite_b=1).T)
@@ -291,11 +290,11 @@ def derivatives(scatter: Scatter, here: Place, of: np.ndarray) -> tuple[np.ndarr
     score, information = np.zeros(len(of)), np.zeros((len(of),) * 2)
     score[of] = 0.5 * (np.tensordot(moved, here.pull, 2) - np.tensordot(blocks, here.kernel, 3))
     white = (here.root @ moved[:, :, :, None])[:, :, :, 0]
-    told = np.zeros((len(moved),) * 2)
+    products = np.zeros((len(moved),) * 2)
     if here.Q is not None:
-        own = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
-        told -= own.T @ own
+        along_things = _of_clumps(scatter, here.Q, white.transpose(1, 2, 0)).reshape(-1, len(moved))
+        products -= along_things.T @ along_things
     white = white.reshape(len(moved), -1)
     along = (white.astype(here.T.dtype) @ here.T).astype(float)
-    information[np.ix_(of, of)] = 0.5 * (told + white @ white.T - along @ along.T)
+    information[np.ix_(of, of)] = 0.5 * (products + white @ white.T - along @ along.T)
     return score, information

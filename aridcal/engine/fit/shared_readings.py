@@ -45,34 +45,34 @@ def standstills(rows: Dataset) -> np.ndarray:
 
 
 def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Number of the clump of each row, shape (N,): groups of unknown things that some standstill joins; -1 where there are none.
+    """Number of the clump of each row, shape (N,): groups of unknown things that standstills join; -1 for rows of no group.
 
     Args:
         standstill: Of each row, shape (N,).
         group: Of each row, shape (N,); -1 for none.
     """
-    own = group >= 0
+    grouped = group >= 0
     clump = np.full(len(group), -1)
-    if not own.any():
+    if not grouped.any():
         return clump
-    groups, number = np.unique(group[own], return_inverse=True)
+    groups, number = np.unique(group[grouped], return_inverse=True)
     count = int(standstill.max()) + 1
-    pairs = coo_array((np.ones(len(number)), (standstill[own], count + number)), shape=(count + len(groups),) * 2)
+    pairs = coo_array((np.ones(len(number)), (standstill[grouped], count + number)), shape=(count + len(groups),) * 2)
     _, label = connected_components(pairs, directed=False)
-    found = label[standstill]
-    with_things = np.isin(found, found[own])
-    clump[with_things] = np.unique(found[with_things], return_inverse=True)[1]
+    label_of_row = label[standstill]
+    with_things = np.isin(label_of_row, label_of_row[grouped])
+    clump[with_things] = np.unique(label_of_row[with_things], return_inverse=True)[1]
     return clump
 
 
 def representative(every: Problem, among: np.ndarray, most: int) -> np.ndarray:
-    """Numbers of the rows that are asked about: all, or of many a reproducible choice of whole standstills, or of whole groups.
+    """Row numbers: all, or of many rows a reproducible choice of whole standstills, or of whole groups.
 
-    Of things that are joined to more others than can be carried as columns, those are asked about that most rows refer to.
+    Where more things are joined than can be carried as columns, those that most rows refer to are chosen.
 
     Args:
-        every: A question about N rows.
-        among: Numbers of those that may be chosen.
+        every: A problem of N rows.
+        among: Numbers of the rows that may be chosen.
         most: Rows at the most.
     """
     if every.data.direct:
@@ -80,26 +80,27 @@ def representative(every: Problem, among: np.ndarray, most: int) -> np.ndarray:
     return among[_of_things(every.select(among), most)]
 
 
-def _of_things(asked: Problem, most: int) -> np.ndarray:
-    """The same of rows with things between, all of which may be chosen."""
-    data, rng, group = asked.data, np.random.default_rng(0), asked.group_of(slice(None))
+def _of_things(question: Problem, most: int) -> np.ndarray:
+    """Row numbers as of :func:`representative`, for rows that refer to things; all rows may be chosen."""
+    data, rng, group = question.data, np.random.default_rng(0), question.group_of(slice(None))
     number = standstills(data)
-    kept = np.arange(len(data))
-    if asked.groups is not None:
-        kept = np.flatnonzero(_few_enough(clumps(number, group), group, asked.groups.unknown.sum(axis=1)))
-    mixed = np.random.RandomState(0).permutation(kept)
-    kept = np.sort(mixed[seen_before(number[mixed]) < OF_ONE])
-    if len(kept) <= most:
-        return kept
-    own, seen = np.unique(number[kept]), np.unique(np.column_stack([number, group])[kept], axis=0)
-    by_group = len(seen) == len(own) and most < OF_A_THING * len(np.unique(group[kept]))
-    _, piece = np.unique((group if by_group else number)[kept], return_inverse=True)
+    candidates = np.arange(len(data))
+    if question.groups is not None:
+        candidates = np.flatnonzero(_few_enough(clumps(number, group), group, question.groups.unknown.sum(axis=1)))
+    mixed = np.random.RandomState(0).permutation(candidates)
+    candidates = np.sort(mixed[seen_before(number[mixed]) < OF_ONE])
+    if len(candidates) <= most:
+        return candidates
+    stills = np.unique(number[candidates])
+    pairs_of_groups = np.unique(np.column_stack([number, group])[candidates], axis=0)
+    by_group = len(pairs_of_groups) == len(stills) and most < OF_A_THING * len(np.unique(group[candidates]))
+    _, piece = np.unique((group if by_group else number)[candidates], return_inverse=True)
     turn = rng.permutation(int(piece.max()) + 1)[piece]
-    return np.asarray(kept[turn <= np.partition(turn, most)[most]])
+    return np.asarray(candidates[turn <= np.partition(turn, most)[most]])
 
 
 def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Rows of no group, and of the groups of each clump with the most rows until these have :data:`COLUMNS` unknowns, (N,) bool.
+    """Rows of no group, and of each clump's groups, those with most rows first, up to :data:`COLUMNS` unknowns, (N,) bool.
 
     Args:
         clump: Of each row, shape (N,).
@@ -116,24 +117,24 @@ def _few_enough(clump: np.ndarray, group: np.ndarray, size: np.ndarray) -> np.nd
 
 
 def _sum_before(label: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Sum of the sizes (n,) that come before each among those of its label (n,), counted from -1 or 0."""
+    """Sum of the sizes (n,) before each entry among the entries of its label (n,); labels count from -1 or 0."""
     order = np.argsort(label, kind="stable")
     total = np.cumsum(size[order]) - size[order]
-    begins = np.diff(label[order], prepend=-2) > 0
+    starts = np.diff(label[order], prepend=-2) > 0
     before = np.empty(len(label), dtype=int)
-    before[order] = total - np.maximum.accumulate(np.where(begins, total, 0))
+    before[order] = total - np.maximum.accumulate(np.where(starts, total, 0))
     return before
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Where the numbers of n rows of m stand among those of S standstills, M of each at the most.
+    """Where the m numbers of each of n rows are in the vectors of S standstills.
 
     Attributes:
-        number: Of each row's standstill, shape (n,).
-        place: Of each number in it, shape (n, m); -1 for what a row does not measure.
-        count: Of standstills, S.
-        width: M.
+        number: Number of each row's standstill, shape (n,).
+        place: Place of each number in its standstill's vector, shape (n, m); -1 where a row does not measure it.
+        count: Number of standstills, S.
+        width: Length of the longest vector, M.
     """
 
     number: np.ndarray
@@ -144,36 +145,36 @@ class Stack:
     @property
     def apart(self) -> bool:
         """True where each row is a standstill of its own, in their order, and measures all numbers."""
-        own = self.place.shape == (self.count, self.width) and np.array_equal(self.number, np.arange(self.count))
-        return own and bool(np.all(self.place == np.arange(self.width)))
+        in_order = self.place.shape == (self.count, self.width) and np.array_equal(self.number, np.arange(self.count))
+        return in_order and bool(np.all(self.place == np.arange(self.width)))
 
     def vectors(self, values: np.ndarray) -> np.ndarray:
-        """Numbers or columns of rows, shape (n, m, ...), as those of standstills, shape (S, M, ...); 0 beyond what these have."""
+        """Numbers or columns of rows, shape (n, m, ...), as vectors of standstills, shape (S, M, ...), filled up with 0."""
         if self.apart:
             return values
-        made = np.zeros((self.count, self.width, *values.shape[2:]))
+        stacked = np.zeros((self.count, self.width, *values.shape[2:]))
         row, column = np.nonzero(self.place >= 0)
-        made[self.number[row], self.place[row, column]] = values[row, column]
-        return made
+        stacked[self.number[row], self.place[row, column]] = values[row, column]
+        return stacked
 
     def matrices(self, values: np.ndarray) -> np.ndarray:
         """Covariances of rows that err independently, shape (n, m, m), as those of standstills, shape (S, M, M)."""
         if self.apart:
             return values
-        made = np.zeros((self.count, self.width, self.width))
+        stacked = np.zeros((self.count, self.width, self.width))
         row, a, b = np.nonzero((self.place[:, :, None] >= 0) & (self.place[:, None, :] >= 0))
-        made[self.number[row], self.place[row, a], self.place[row, b]] = values[row, a, b]
-        return made
+        stacked[self.number[row], self.place[row, a], self.place[row, b]] = values[row, a, b]
+        return stacked
 
     def of_rows(self, values: np.ndarray) -> np.ndarray:
-        """What standstills have, shape (S, M), as of rows, shape (n, m); 0 for what a row does not measure."""
+        """Vectors of standstills, shape (S, M), as numbers of rows, shape (n, m); 0 where a row does not measure one."""
         return np.where(self.place >= 0, values[self.number[:, None], self.place], 0.0)
 
     def blocks_of_rows(self, values: np.ndarray) -> np.ndarray:
         """The rows' own blocks of matrices of standstills, shape (S, M, M) to (n, m, m)."""
         there = (self.place[:, :, None] >= 0) & (self.place[:, None, :] >= 0)
-        own = values[self.number[:, None, None], self.place[:, :, None], self.place[:, None, :]]
-        return np.where(there, own, 0.0)
+        blocks = values[self.number[:, None, None], self.place[:, :, None], self.place[:, None, :]]
+        return np.where(there, blocks, 0.0)
 
 
 def stack(standstill: np.ndarray, there: np.ndarray) -> Stack:
@@ -190,7 +191,7 @@ def stack(standstill: np.ndarray, there: np.ndarray) -> Stack:
 
 
 def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) -> Scatter:
-    """The same with columns of what is unknown of the rows' groups, and what is known of these beforehand as rows behind.
+    """The scatter with columns of the unknowns of the rows' groups, and prior knowledge of these as rows behind.
 
     Args:
         scatter: Of the standstills of a problem's rows.
@@ -210,20 +211,20 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
     width = int((offset + size)[clump_of >= 0].max())
 
     def wide(values: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Columns of groups' unknowns, shape (n, m, U), as those of their clumps'."""
-        made = np.zeros((*values.shape[:2], width))
+        """Columns of groups' unknowns, shape (n, m, U), as columns of their clumps' unknowns."""
+        columns = np.zeros((*values.shape[:2], width))
         row, slot = np.nonzero(unknown[of] & (of >= 0)[:, None])
-        made[row, :, offset[of[row]] + slot] = values[row, :, slot]
-        return made
+        columns[row, :, offset[of[row]] + slot] = values[row, :, slot]
+        return columns
 
     of_standstill = np.full(still.count, -1)
     of_standstill[still.number] = clump
-    told = np.isin(beforehand.group, groups)
-    of_known, count = beforehand.group[told], int(told.sum())
+    of_groups = np.isin(beforehand.group, groups)
+    of_known, count = beforehand.group[of_groups], int(of_groups.sum())
     facts = np.zeros((count, still.width, unknown.shape[1]))
-    facts[:, 0] = beforehand.by[told]
+    facts[:, 0] = beforehand.by[of_groups]
     y = np.zeros((count, still.width))
-    y[:, 0] = beforehand.left[told]
+    y[:, 0] = beforehand.left[of_groups]
     behind = replace(
         scatter,
         y=np.concatenate([scatter.y, y]),

@@ -57,7 +57,7 @@ class Geometry:
         nominal: Frames alone.
         geometric: With the constants; the same as ``nominal`` where nothing predicts held-back rows better than that.
         kept: Why the constants stay nominal, in words; empty if they do not.
-        free: Share of the numbers measured that the model which was not kept leaves.
+        free: Share of the numbers measured that are left after fitting the constants which were given up.
     """
 
     nominal: Fit
@@ -76,31 +76,31 @@ def fit_geometry(
         robot: The nominal chain.
         train: Rows to fit.
         labels: All stations, where a frame is per station.
-        progress: Told how far each pass over the rows is.
+        progress: Called with the rows done in each pass over them.
 
     Raises:
         NotIdentifiable: nothing can be identified from these rows.
         NotOfThisRobot: the rows cannot be of this robot.
     """
     frames = frame_coefficients(question, labels, train)
-    asked = problem(_start(question, robot, train, labels, frames), train, progress)
+    fit_problem = problem(_start(question, robot, train, labels, frames), train, progress)
     try:
-        nominal = fit_identifiable(asked, range(len(frames))) if frames else fit(asked)
+        nominal = fit_identifiable(fit_problem, range(len(frames))) if frames else fit(fit_problem)
     except NotIdentifiable:
         zero = np.zeros(len(frames))
-        _refuse_strangers(asked, asked.model, zero, asked.residual(zero))
+        _refuse_strangers(fit_problem, fit_problem.model, zero, fit_problem.residual(zero))
         raise
     candidates = frames + constants(robot, question.constants)
     geometric = nominal
     if candidates:
         centred, _ = nominal.model.recentred(nominal.theta)
-        asked = problem(centred.with_coefficients(candidates), train, progress)
-        geometric = fit_identifiable(asked, range(len(candidates)), _alike(candidates, len(frames)))
-    _refuse_strangers(asked, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
+        fit_problem = problem(centred.with_coefficients(candidates), train, progress)
+        geometric = fit_identifiable(fit_problem, range(len(candidates)), _lengths_and_angles(candidates, len(frames)))
+    _refuse_strangers(fit_problem, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
     return Geometry(nominal, with_restarts(geometric, train, progress) if candidates else nominal)
 
 
-def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
+def _lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
     """Indices of the constants that are lengths, and of those that are angles; the frames before them are neither."""
     constants = range(frames, len(candidates))
     lengths = [k for k in constants if candidates[k].component in LENGTHS]
@@ -110,23 +110,25 @@ def _alike(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], l
 def _start(
     question: Question, robot: Robot, train: Dataset, labels: tuple[str, ...], frames: tuple[Coefficient, ...]
 ) -> Model:
-    """The nominal robot with its frames, and the things that its measurements refer to, where they begin."""
+    """The nominal robot with starts of its frames and of the things that its measurements refer to."""
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
-    seen = measured(bare, train)
+    predictions = measured(bare, train)
     world, tip = question.world_base, question.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
     if train.labels.target is not None:
         number = np.searchsorted(np.array(names), train.labels.target.astype(str))
-    if seen.direct:
-        some = thin(replace(seen.rows, world=station, tip=number), MOST_ROWS)
-        train, seen, station, number = train.select(some), seen[some], station[some], number[some]
-    R, p = bare.poses(np.zeros(0), seen.rows)
+    if predictions.direct:
+        some = thin(replace(predictions.rows, world=station, tip=number), MOST_ROWS)
+        train, predictions, station, number = train.select(some), predictions[some], station[some], number[some]
+    R, p = bare.poses(np.zeros(0), predictions.rows)
     hints = {k: pin.SE3.Identity() if name == TIP else question.target(name).at for k, name in enumerate(names)}
     fixed = not measures_target(train)
-    held = {k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown}
-    known = None if world.unknown and has_world(train) else world.at
-    start = beginning(NominalRows(train, seen, R, p, number, hints, held, station, known))
+    known_targets = {
+        k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown
+    }
+    known_world = None if world.unknown and has_world(train) else world.at
+    start = beginning(NominalRows(train, predictions, R, p, number, hints, known_targets, station, known_world))
     return Model(
         robot,
         frames,
@@ -140,7 +142,7 @@ def _start(
 
 
 def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...]) -> np.ndarray:
-    """How far the rows are from the nominal robot whose frames are placed in closed form: quick, and nearly the fit's.
+    """Residuals of the nominal robot with frames from closed forms, as a robust sigma: quick, and nearly the fit's.
 
     Returns:
         Robust sigma of each channel, shape (C,), [m] and [rad] per axis.
@@ -151,7 +153,7 @@ def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:
-    """The geometric model with the things where effects of the final one have them always; None if it has no such effects."""
+    """The geometric model with things moved by the constant effects on them of the final one; None if it has no such effects."""
     model, instruments = geometric.model, final.model.instruments
     at_things = np.flatnonzero(final.model.at_things).tolist()
     moving = [k for k in at_things if final.model.coefficients[k].basis.form == "ones"]
@@ -174,20 +176,20 @@ def recentred(fit: Fit) -> Fit:
     return replace(fit, model=model, theta=theta)
 
 
-def _refuse_strangers(asked: Problem, model: Model, theta: np.ndarray, residual: np.ndarray) -> None:
-    """Refuse measurements that cannot be of this robot: a result would look like one and be none.
+def _refuse_strangers(question: Problem, model: Model, theta: np.ndarray, residual: np.ndarray) -> None:
+    """Refuse measurements that cannot be of this robot: any result would be meaningless.
 
     Args:
-        asked: N rows.
+        question: N rows.
         model: The geometry.
         theta: Its coefficients.
-        residual: What it leaves of the rows, shape (N, m), [m] and [rad].
+        residual: Measured minus predicted, shape (N, m), [m] and [rad].
 
     Raises:
-        NotOfThisRobot: naming what to check.
+        NotOfThisRobot: residuals are too large; it says what to check.
     """
-    train = asked.data
-    places = np.where(np.isnan(train.position), model.poses(theta, asked.rows)[1], train.position)
+    train = question.data
+    places = np.where(np.isnan(train.position), model.poses(theta, question.rows)[1], train.position)
     centre = places - np.nanmean(places, axis=0)
     extent = float(np.sqrt(np.nanmean(np.nansum(centre**2, axis=1))))
     most = {"m": max(STRANGE_SHARE * extent, STRANGE_LENGTH), "rad": STRANGE_ANGLE, "px": STRANGE_PIXELS}
@@ -197,7 +199,7 @@ def _refuse_strangers(asked: Problem, model: Model, theta: np.ndarray, residual:
         return
     unit, sigma = strange[0]
     columns = "every joint's column, unit, sign and order of rows"
-    left, advice = {
+    misfit, advice = {
         "m": (
             f"{1e3 * sigma:.0f} mm per axis of the {1e3 * extent:.0f} mm by which the targets spread",
             f"{columns}, and the unit of the positions",
@@ -206,13 +208,13 @@ def _refuse_strangers(asked: Problem, model: Model, theta: np.ndarray, residual:
         "px": (f"{sigma:.0f} px per axis", f"{columns}, which marker is which, and that no image is mirrored"),
     }[unit]
     raise NotOfThisRobot(
-        f"{train.title}: these measurements are not of this robot: {left} cannot be explained. Check {advice}; "
+        f"{train.title}: these measurements are not of this robot: {misfit} cannot be explained. Check {advice}; "
         "that the URDF is the right one; and whether tracker or target were moved in between (then `per: station`)"
     )
 
 
 def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...]) -> np.ndarray:
-    """Number of the frame that each row belongs to, shape (N,); 0 where it has no station, as no frame is in its path."""
+    """Number of the frame that each row belongs to, shape (N,); 0 for rows without a station, whose path has no such frame."""
     if not frame.by_station:
         return np.zeros(len(train), dtype=int)
     if train.labels.station is None or not labels:
@@ -221,23 +223,23 @@ def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...])
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
 
 
-def with_restarts(found: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
+def with_restarts(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
-    some = thin(rows_of_data(found.model, train), max(RESTART_ROWS, 4 * len(found.theta)))
-    part = problem(found.model, train.select(some), progress)
-    weight = found.weight[some]
-    prior = Prior(np.zeros(len(found.theta)), found.believed) if found.believed.any() else None
-    reference = minimise(part, found.theta, weight, prior)
-    is_length = np.array([c.component in LENGTHS for c in found.model.coefficients])
+    some = thin(rows_of_data(fit.model, train), max(RESTART_ROWS, 4 * len(fit.theta)))
+    part = problem(fit.model, train.select(some), progress)
+    weight = fit.weight[some]
+    prior = Prior(np.zeros(len(fit.theta)), fit.believed) if fit.believed.any() else None
+    reference = minimise(part, fit.theta, weight, prior)
+    is_length = np.array([c.component in LENGTHS for c in fit.model.coefficients])
     reach = np.where(is_length, REACH_LENGTH, REACH_ANGLE)
-    reach[found.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
+    reach[fit.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
     rng = np.random.default_rng(0)
-    others = [found.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
-    others += closed_form_starts(found, part.data)
+    others = [fit.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
+    others += closed_form_starts(fit, part.data)
     tolerance = SAME * spread(reference.sigma, train.channels)
     agreed = 0
     for theta in progress.over(others, "other starts"):
         other = minimise(part, theta, weight, prior)
         off = np.abs(other.at.residual - reference.at.residual)[weight > 0.5]
         agreed += not np.any(off > tolerance)  # NaN in what a row does not measure
-    return replace(found, convergence=replace(found.convergence, restarts=len(others), agreed=agreed))
+    return replace(fit, convergence=replace(fit.convergence, restarts=len(others), agreed=agreed))

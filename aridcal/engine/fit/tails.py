@@ -43,7 +43,7 @@ class Tails:
 
 
 def weights(squares: np.ndarray, size: np.ndarray | float, freedom: np.ndarray | float) -> np.ndarray:
-    """Expected inverse variance of rows, in that of sigma; 1 for normal noise, of infinite freedom.
+    """Expected inverse variance of rows over that of sigma; 1 for normal noise, whose freedom is infinite.
 
     Args:
         squares: Of each row, in units of sigma.
@@ -56,7 +56,7 @@ def weights(squares: np.ndarray, size: np.ndarray | float, freedom: np.ndarray |
 
 
 def log_density(squares: np.ndarray, size: np.ndarray | float, freedom: np.ndarray | float) -> np.ndarray:
-    """Of rows, in units of sigma; arguments as for :func:`weights`."""
+    """Logarithm of the density of rows, in units of sigma; arguments as for :func:`weights`."""
     finite = np.isfinite(freedom)
     nu = np.where(finite, freedom, 1.0)
     constant = gammaln(0.5 * (nu + size)) - gammaln(0.5 * nu) - 0.5 * size * np.log(nu * np.pi)
@@ -65,7 +65,7 @@ def log_density(squares: np.ndarray, size: np.ndarray | float, freedom: np.ndarr
 
 
 def tails_of(squares: np.ndarray, size: int) -> Tails | None:
-    """The tails of some residuals; None where normal noise does as well, or they are exact.
+    """Student's t fitted to residuals; None where normal noise fits as well, or residuals are exact.
 
     Args:
         squares: Of each row, shape (n,).
@@ -76,7 +76,7 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         return None
     mean = float(np.mean(squares)) / size
     normal = float(np.sum(log_density(squares / mean, size, np.inf))) - 0.5 * size * len(squares) * np.log(mean)
-    best, found = normal + GAIN, None
+    best, tails = normal + GAIN, None
     for freedom in FREEDOMS:
         variance = middle / size
         for _ in range(STEPS):
@@ -84,5 +84,5 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         value = float(np.sum(log_density(squares / variance, size, freedom)))
         value -= 0.5 * size * len(squares) * np.log(variance)
         if value > best:
-            best, found = value, Tails(freedom, float(np.sqrt(variance)))
-    return found
+            best, tails = value, Tails(freedom, float(np.sqrt(variance)))
+    return tails

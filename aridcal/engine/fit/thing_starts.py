@@ -1,4 +1,4 @@
-"""Where frames and things begin, for rows of any kind: block after block, each knowing what those before it have found."""
+"""Where frames and things begin, for rows of any kind: block after block, each using the places from those before it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Beginning:
     Attributes:
         world_base: One frame for all rows, or for each station.
         tip_target: T_tip_target of each target, by its number.
-        states: Of all things, (L, P) by role; NaN where nothing is known.
+        states: Of the L things of each role, shape (L, P) by role; NaN where a place is not known.
     """
 
     world_base: tuple[pin.SE3, ...]
@@ -44,42 +44,48 @@ class Beginning:
 
 @dataclass(frozen=True)
 class NominalRows:
-    """Rows as the nominal arm has them, and what is known of their frames.
+    """Rows with the nominal arm's poses, and the known frames.
 
     Attributes:
         data: N rows.
-        seen: What they read.
+        predictions: What the rows read, beside the bare robot.
         R: Nominal T_base_tip, shape (N, 3, 3); of rows whose things a link carries, T_link_tip.
         p: Its translation, shape (N, 3), [m].
         tip: Number of each row's target, shape (N,).
-        hints: T_tip_target of each target where nothing tells it.
-        held: Those that are known.
+        hints: T_tip_target of each target where no row determines it.
+        known_targets: T_tip_target of the targets that are known.
         station: Number of each row's T_world_base, shape (N,); only rows that measure the target may have several.
-        world: T_world_base where it is known.
+        world: T_world_base; None where it is not known.
     """
 
     data: Dataset
-    seen: Measured
+    predictions: Measured
     R: np.ndarray
     p: np.ndarray
     tip: np.ndarray
     hints: Mapping[int, pin.SE3]
-    held: Mapping[int, pin.SE3]
+    known_targets: Mapping[int, pin.SE3]
     station: np.ndarray
     world: pin.SE3 | None
 
     def start(
-        self, own: np.ndarray, kind: Kind, things: Mapping[str, Things], base: pin.SE3, target: pin.SE3, known: bool
+        self,
+        some: np.ndarray,
+        kind: Kind,
+        things: Mapping[str, Things],
+        base: pin.SE3,
+        target: pin.SE3,
+        target_known: bool,
     ) -> Place:
-        """The best start from some rows of one block, whose arm stands on a base; ``known`` if the target is."""
-        turned = base.rotation @ self.R[own]
-        places = self.p[own] @ base.rotation.T + base.translation
-        observed = kind.numbers(self.seen.observed[own])
-        refers = self.seen.refers[own, : len(kind.roles)]
-        made = starts(kind, turned, places, observed, refers, things, target.homogeneous, known)
-        if not made:
-            raise NotIdentifiable([[self.seen.blocks[int(self.seen.block[own[0]])].name]])
-        return made[0]
+        """The best start from some rows of one block, the arm standing on a base; ``target_known`` if the target's place is."""
+        turned = base.rotation @ self.R[some]
+        places = self.p[some] @ base.rotation.T + base.translation
+        observed = kind.numbers(self.predictions.observed[some])
+        refers = self.predictions.refers[some, : len(kind.roles)]
+        candidates = starts(kind, turned, places, observed, refers, things, target.homogeneous, target_known)
+        if not candidates:
+            raise NotIdentifiable([[self.predictions.blocks[int(self.predictions.block[some[0]])].name]])
+        return candidates[0]
 
 
 def beginning(rows: NominalRows) -> Beginning:
@@ -88,85 +94,90 @@ def beginning(rows: NominalRows) -> Beginning:
     Raises:
         NotIdentifiable: the rows of a block cannot tell where its things are.
     """
-    seen, hints = rows.seen, rows.hints
+    predictions, hints = rows.predictions, rows.hints
     stands = (rows.world or pin.SE3.Identity(),) * (int(rows.station.max(initial=0)) + 1)
-    at = Beginning(stands, dict(rows.held), {n: t.start for n, t in seen.instruments.things.items()})
-    posed = np.flatnonzero(np.isin(seen.block, [b for b, block in enumerate(seen.blocks) if block.traits.places]))
+    at = Beginning(stands, dict(rows.known_targets), {n: t.start for n, t in predictions.instruments.things.items()})
+    posed = np.flatnonzero(
+        np.isin(predictions.block, [b for b, block in enumerate(predictions.blocks) if block.traits.places])
+    )
     if len(posed):
         at = _from_poses(rows, posed, at)
-    of_target = any(block.traits.places for block in seen.blocks)
-    placed = rows.world is not None or len(posed) > 0 or not (seen.instruments.world or of_target)
+    of_target = any(block.traits.places for block in predictions.blocks)
+    world_known = rows.world is not None or len(posed) > 0 or not (predictions.instruments.world or of_target)
     starts_on_link = np.array([route.start is not None for route in rows.data.labels.routes])
     linked = (
         np.zeros(len(rows.tip), dtype=bool)
         if rows.data.labels.route is None
         else starts_on_link[rows.data.labels.route]
     )
-    order = sorted(range(len(seen.blocks)), key=lambda b: not seen.blocks[b].traits.level)  # it knows the vertical
+    # Blocks that know the vertical come first.
+    order = sorted(range(len(predictions.blocks)), key=lambda b: not predictions.blocks[b].traits.level)
     for b in order:
-        kind, of_block = seen.of_kind(b)
+        kind, of_block = predictions.of_kind(b)
         if kind.places:
             continue
         if kind.level and rows.world is None and not len(posed):
-            at = replace(at, world_base=(_levelled(rows, of_block),))
+            at = replace(at, world_base=(_level_base(rows, of_block),))
         limbs = np.column_stack([rows.tip[of_block], linked[of_block]])
         parts = [
             (k, of_block[(limbs == (k, on_link)).all(axis=1)], on_link)
             for k, on_link in np.unique(limbs, axis=0).tolist()
         ]
-        for k, own, on_link in sorted(parts, key=lambda part: -len(part[1])):
-            own = _some(own, seen, kind)
+        for k, some, on_link in sorted(parts, key=lambda part: -len(part[1])):
+            some = _enough_rows(some, predictions, kind)
             base = pin.SE3.Identity() if on_link else at.world_base[0]
-            if not placed and not on_link:
-                loose = {name: _unknown(t) for name, t in _things(kind, seen, at.states).items()}
-                first = rows.start(own, kind, loose, base, hints[k], False)
-                there = _placed(kind, first, seen)
+            if not world_known and not on_link:
+                loose = {name: _with_unknown_places(t) for name, t in _things(kind, predictions, at.states).items()}
+                first = rows.start(some, kind, loose, base, hints[k], False)
+                there = _base_from_things(kind, first, predictions)
                 if there is not None:
                     at = replace(at, world_base=(there,), tip_target=at.tip_target | {k: pin.SE3(first.target)})
-                    base, placed = there, True
-            target, known = at.tip_target.get(k, hints[k]), k in at.tip_target
-            start = rows.start(own, kind, _things(kind, seen, at.states), base, target, known)
+                    base, world_known = there, True
+            target, target_known = at.tip_target.get(k, hints[k]), k in at.tip_target
+            start = rows.start(some, kind, _things(kind, predictions, at.states), base, target, target_known)
             states = dict(at.states)
             for name, state in start.states.items():
                 states[name] = np.where(np.isnan(states[name]), state, states[name])
             at = replace(at, tip_target=at.tip_target | {k: pin.SE3(start.target)}, states=states)
     tip_target = {k: at.tip_target.get(k, hints[k]) for k in hints}
-    return replace(at, tip_target=tip_target, states=_with_lost(rows.data, seen, at.states))
+    return replace(at, tip_target=tip_target, states=_with_missing_states(rows.data, predictions, at.states))
 
 
-def _with_lost(data: Dataset, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """States with things that their few rows cannot tell put among the others: what they cannot tell, they cannot spoil.
+def _with_missing_states(
+    data: Dataset, predictions: Measured, states: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """States with things that their rows cannot place put at the median of the others: these rows do not notice.
 
     Raises:
-        MeasurementError: most things of a role are such; naming the first.
+        MeasurementError: most things of a role cannot be placed; it names the first of them.
     """
-    found = dict(states)
-    for b, block in enumerate(seen.blocks):
-        kind, own = seen.of_kind(b)
-        for k, role in enumerate(kind.roles if seen.instruments.things else ()):
-            state = found[role.name].copy()
-            numbers, rows = np.unique(seen.refers[own, k], return_counts=True)
+    states_of_roles = dict(states)
+    for b, block in enumerate(predictions.blocks):
+        kind, some = predictions.of_kind(b)
+        for k, role in enumerate(kind.roles if predictions.instruments.things else ()):
+            state = states_of_roles[role.name].copy()
+            numbers, rows = np.unique(predictions.refers[some, k], return_counts=True)
             lost = ~np.isfinite(state[numbers]).all(axis=1)
             if 2 * lost.sum() > len(numbers):
-                name, count = seen.instruments.things[role.name].names[int(numbers[lost][0])], int(rows[lost][0])
+                name, count = predictions.instruments.things[role.name].names[int(numbers[lost][0])], int(rows[lost][0])
                 raise MeasurementError(
                     f"{data.title}: {role.name} {name!r} of {block.name}: its fitted rows, {count}, cannot tell where it is. "
                     "Measure more of it, in other postures, or state its place under `instruments`"
                 )
             if lost.any():
                 state[numbers[lost]] = np.median(state[numbers[~lost]], axis=0)
-            found[role.name] = state
-    return found
+            states_of_roles[role.name] = state
+    return states_of_roles
 
 
-def _levelled(rows: NominalRows, own: np.ndarray) -> pin.SE3:
-    """The base turned the shortest way so that the rows of a sensor see gravity downwards."""
-    R, read, number = rows.R[own], rows.seen.observed[own, :3], int(rows.tip[own[0]])
+def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
+    """T_world_base, turned the shortest way so that the rows of an inclination sensor read gravity downwards."""
+    R, read, number = rows.R[some], rows.predictions.observed[some, :3], int(rows.tip[some[0]])
     read = read / np.linalg.norm(read, axis=1, keepdims=True)
-    target, known = rows.held.get(number, rows.hints[number]).homogeneous, number in rows.held
-    refers = np.zeros((len(own), 0), dtype=int)
+    target, target_known = rows.known_targets.get(number, rows.hints[number]).homogeneous, number in rows.known_targets
+    refers = np.zeros((len(some), 0), dtype=int)
     best, least = DOWN, np.inf
-    for start in starts(KINDS["inclination"], R, rows.p[own], read, refers, {}, target, known):
+    for start in starts(KINDS["inclination"], R, rows.p[some], read, refers, {}, target, target_known):
         felt = np.einsum("nij,jk,nk->ni", R, start.target[:3, :3], read)
         down = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
         spread = float(np.median(np.linalg.norm(felt - down, axis=1)))
@@ -176,59 +187,59 @@ def _levelled(rows: NominalRows, own: np.ndarray) -> pin.SE3:
     return pin.SE3(turn, np.zeros(3))
 
 
-def _from_poses(rows: NominalRows, own: np.ndarray, at: Beginning) -> Beginning:
-    """Bases and targets from rows that measure these themselves."""
-    numbers, tip = np.unique(rows.tip[own], return_inverse=True)
-    M = None if rows.data.rotation is None else rows.data.rotation[own]
+def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning:
+    """Bases and targets from rows that measure poses or positions of targets."""
+    numbers, tip = np.unique(rows.tip[some], return_inverse=True)
+    M = None if rows.data.rotation is None else rows.data.rotation[some]
     if M is not None and np.isnan(M).any():
         M = None
     targets = {k: at.tip_target.get(k) for k in numbers.tolist()}
-    known = tuple(T for T in targets.values() if T is not None)
+    known_targets = tuple(T for T in targets.values() if T is not None)
     best = best_start(
-        Posed(rows.R[own], rows.p[own], M, rows.data.position[own], rows.station[own], tip),
+        Posed(rows.R[some], rows.p[some], M, rows.data.position[some], rows.station[some], tip),
         None if rows.world is None else at.world_base,
-        known if len(known) == len(targets) else None,
+        known_targets if len(known_targets) == len(targets) else None,
         tuple(rows.hints[k] for k in targets),
     )
-    placed = {k: held or T for (k, held), T in zip(targets.items(), best.tip_target, strict=True)}
-    return replace(at, world_base=best.world_base, tip_target=at.tip_target | placed)
+    starts_of_targets = {k: known or T for (k, known), T in zip(targets.items(), best.tip_target, strict=True)}
+    return replace(at, world_base=best.world_base, tip_target=at.tip_target | starts_of_targets)
 
 
-def _things(kind: Kind, seen: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
-    """Things of a kind's roles where they are; those that have a place by now count as known."""
-    made = {}
+def _things(kind: Kind, predictions: Measured, states: Mapping[str, np.ndarray]) -> dict[str, Things]:
+    """Things of a kind's roles at their states; things that have a place by now count as known."""
+    things_of_roles = {}
     for role in kind.roles:
-        things = seen.instruments.things[role.name]
+        things = predictions.instruments.things[role.name]
         here = np.isfinite(states[role.name]).all(axis=1) & np.isnan(things.start).any(axis=1)
-        made[role.name] = replace(things, start=states[role.name], free=things.free & ~here[:, None])
-    return made
+        things_of_roles[role.name] = replace(things, start=states[role.name], free=things.free & ~here[:, None])
+    return things_of_roles
 
 
-def _unknown(things: Things) -> Things:
-    """The same things with nothing known of where they are, for rows in another frame than the world's."""
+def _with_unknown_places(things: Things) -> Things:
+    """The things with all places unknown, for rows in another frame than the world's."""
     if not things.role.many:
         return things
     free = np.tile([name in things.role.identified for name in things.role.components], (len(things), 1))
     return replace(things, start=np.full(things.start.shape, np.nan), free=free)
 
 
-def _placed(kind: Kind, start: Place, seen: Measured) -> pin.SE3 | None:
-    """T_world_base from things that were found in the base frame and are known in the world's; None where these are too few."""
+def _base_from_things(kind: Kind, start: Place, predictions: Measured) -> pin.SE3 | None:
+    """T_world_base from things placed in the base frame by a start and in the world's by the campaign; None if too few."""
     for role in kind.roles:
-        things = seen.instruments.things[role.name]
+        things = predictions.instruments.things[role.name]
         exact = ~things.free.any(axis=1) | np.isfinite(things.std).any(axis=1)
-        given = np.where(exact[:, None], things.start, np.nan)
-        T = aligned(role, start.states[role.name], given)
+        known_places = np.where(exact[:, None], things.start, np.nan)
+        T = aligned(role, start.states[role.name], known_places)
         if T is not None:
             return pin.SE3(T)
     return None
 
 
-def _some(rows: np.ndarray, seen: Measured, kind: Kind) -> np.ndarray:
-    """Enough rows of a block, of each thing its share."""
+def _enough_rows(rows: np.ndarray, predictions: Measured, kind: Kind) -> np.ndarray:
+    """Row numbers of a choice from a block, each thing with its share."""
     if len(rows) <= MOST_ROWS or not kind.roles:
         return rows[:: max(1, len(rows) // MOST_ROWS)]
-    label = seen.refers[rows, len(kind.roles) - 1]
+    label = predictions.refers[rows, len(kind.roles) - 1]
     rng = np.random.default_rng(0)
     share = max(FEWEST_ROWS, MOST_ROWS // len(np.unique(label)))
     order = rng.permutation(len(rows))

@@ -1,4 +1,4 @@
-r"""Variance components by restricted maximum likelihood: of what causes the scatter of residuals is made, and how large each is.
+r"""Variance components by restricted maximum likelihood: how large each cause of the residuals' scatter is.
 
 The residuals y of N rows of m numbers have columns A whose coefficients have a normal prior (precision :math:`\Lambda`,
 often zero), and rows that err independently of one another. (Where rows of a table err together they are one row here.)
@@ -75,15 +75,15 @@ class Components:
     """Variances at the maximum of the restricted likelihood.
 
     Attributes:
-        free: Those in the model, shape (C,) bool.
-        variance: Of each component, shape (C,), not negative; 0 for those that are not in the model.
-        covariance: Of those estimates, shape (C, C); 0 for those that are not in the model, or vanished.
+        free: Components in the model, shape (C,) bool.
+        variance: Of each component, shape (C,), not negative; 0 for components that are not in the model.
+        covariance: Of these estimates, shape (C, C); 0 for components that are not in the model, or vanished.
         log_likelihood: Restricted, but for a constant.
         pull: P y of each row, shape (N, m).
         kernel: P_ii of each row, shape (N, m, m).
-        low: Below which no variance falls, shape (C,): by what the channels began with, however often they are settled anew.
-        at: Variances of which pull, kernel and covariance are, shape (C,): one short step from those of the maximum.
-        left: [nat] that the log-likelihood is out by at the most.
+        low: Below which variances do not fall, shape (C,): a share of the channels' first estimates.
+        at: Variances at which pull, kernel and covariance were computed, shape (C,): one short step from the maximum.
+        error: Bound on the error of the log-likelihood, [nat].
     """
 
     free: np.ndarray
@@ -94,7 +94,7 @@ class Components:
     kernel: np.ndarray
     low: np.ndarray
     at: np.ndarray
-    left: float
+    error: float
 
     @property
     def sigma(self) -> np.ndarray:
@@ -121,132 +121,132 @@ def std_of_sigma(variance: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(variance > 0.0, small, 0.0))
 
 
-def estimate(scatter: Scatter, channels: np.ndarray, held: np.ndarray) -> Components:
-    """Maximise the restricted likelihood with the components alone that any residual has: the channels.
+def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> Components:
+    """Maximise the restricted likelihood with the channels alone, which every residual has.
 
     Args:
         scatter: Residuals and components.
-        channels: Variances of the channels to begin with, positive, as many as ``held``.
-        held: Which components those are, shape (C,) bool; their variances may not vanish.
+        channels: Variances of the channels to begin with, positive, one for each in ``is_channel``.
+        is_channel: Which components are channels, shape (C,) bool; their variances may not vanish.
     """
-    start = np.zeros(len(held))
-    start[held] = channels
-    return _maximum(scatter, start, held, LEAST * start)
+    start = np.zeros(len(is_channel))
+    start[is_channel] = channels
+    return _maximum(scatter, start, is_channel, LEAST * start)
 
 
-def settled(scatter: Scatter, found: Components) -> Components:
-    """The maximum with the same components to :data:`SETTLED`, from that to :data:`ROUGH`."""
-    if found.left < SETTLED:
-        return found
-    return _maximum(scatter, found.variance, found.free, found.low, SETTLED)
+def settled(scatter: Scatter, maximum: Components) -> Components:
+    """A maximum known to :data:`ROUGH`, refined to :data:`SETTLED` with the same components."""
+    if maximum.error < SETTLED:
+        return maximum
+    return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
 
 
 def one_more(
-    scatter: Scatter, found: Components, held: np.ndarray, price: np.ndarray | float = 0.0
+    scatter: Scatter, maximum: Components, is_channel: np.ndarray, price: np.ndarray | float = 0.0
 ) -> tuple[int, Components] | None:
-    """The component that is asked for most, and the maximum with it; None if chance may ask for as much.
+    """The component with the largest score, and the maximum with it; None if chance explains that score.
 
     Args:
         scatter: Residuals and components.
-        found: The maximum without it.
-        held: Channels, shape (C,) bool: what is asked for is one of the others.
-        price: What each component must gain for numbers of its own that were taken from the residuals, shape (C,), [nat].
+        maximum: The maximum without it.
+        is_channel: Which components are channels, shape (C,) bool: all others are candidates.
+        price: Gain that pays for the numbers of a component that were fitted to the residuals, shape (C,), [nat].
     """
-    asked = asked_for(scatter, found, price)
-    if not asked.clear:
-        found = settled(scatter, found)
-        asked = asked_for(scatter, found, price)
-    cost = np.broadcast_to(price, held.shape)
-    cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, asked.normal)))
-    # What costs something does not stand in the way of what costs nothing.
-    for k in dict.fromkeys((asked.first, cheapest)):
-        if asked.normal[k] > 0.0 and asked.plain[k] >= PLAIN:
-            more = with_one(scatter, found, k, float(asked.variance[k]))
-            if needed(more, found, float(cost[k]), held):
+    demand = asked_for(scatter, maximum, price)
+    if not demand.clear:
+        maximum = settled(scatter, maximum)
+        demand = asked_for(scatter, maximum, price)
+    cost = np.broadcast_to(price, is_channel.shape)
+    cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, demand.normal)))
+    # A component that has a price does not stand in the way of one that has none.
+    for k in dict.fromkeys((demand.first, cheapest)):
+        if demand.normal[k] > 0.0 and demand.plain[k] >= PLAIN:
+            more = with_one(scatter, maximum, k, float(demand.variance[k]))
+            if needed(more, maximum, float(cost[k]), is_channel):
                 return k, more
     return None
 
 
-def with_one(scatter: Scatter, found: Components, k: int, variance: float) -> Components:
-    """The maximum with one more component, which begins at a variance."""
-    start, free = found.variance.copy(), found.free.copy()
+def with_one(scatter: Scatter, maximum: Components, k: int, variance: float) -> Components:
+    """The maximum with one more component k, which begins at a variance."""
+    start, free = maximum.variance.copy(), maximum.free.copy()
     start[k], free[k] = variance, True
-    return _with_others(scatter, found, start, free)
+    return _with_others(scatter, maximum, start, free)
 
 
-def without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
+def without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
     """The maximum without some of its components, shape (C,) bool."""
-    return _with_others(scatter, found, np.where(out, 0.0, found.variance), found.free & ~out)
+    return _with_others(scatter, maximum, np.where(out, 0.0, maximum.variance), maximum.free & ~out)
 
 
-def roughly_without(scatter: Scatter, found: Components, out: np.ndarray) -> Components:
-    """The same as :func:`without`, the columns' fit held: the likelihood there is a bound from below, and costs little."""
-    V, free = covariances(scatter, found.at), found.free & ~out
-    bound = _bound(scatter, found.at, found)
-    wanted = bound.best(np.where(out, 0.0, found.variance), free, found.low)
-    there = covariances(scatter, wanted)
+def roughly_without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
+    """A cheap :func:`without`, the columns' fit held: its likelihood is a bound from below."""
+    V, free = covariances(scatter, maximum.at), maximum.free & ~out
+    bound = _bound(scatter, maximum.at, maximum)
+    variances = bound.best(np.where(out, 0.0, maximum.variance), free, maximum.low)
+    there = covariances(scatter, variances)
     inverse = np.linalg.inv(there)
-    left = np.einsum("nij,nj->ni", V, found.pull)
-    pull = np.einsum("nij,nj->ni", inverse, left)
-    kernel = inverse - inverse @ (V - V @ found.kernel @ V) @ inverse
-    value = found.log_likelihood - (bound.height(found.at) - bound.height(wanted))
-    nothing = np.zeros_like(found.covariance)
-    return Components(free, wanted, nothing, value, pull, kernel, found.low, wanted, np.inf)
+    residual = np.einsum("nij,nj->ni", V, maximum.pull)
+    pull = np.einsum("nij,nj->ni", inverse, residual)
+    kernel = inverse - inverse @ (V - V @ maximum.kernel @ V) @ inverse
+    value = maximum.log_likelihood - (bound.height(maximum.at) - bound.height(variances))
+    nothing = np.zeros_like(maximum.covariance)
+    return Components(free, variances, nothing, value, pull, kernel, maximum.low, variances, np.inf)
 
 
-def highest(other: Scatter, scatter: Scatter, found: Components, of: np.ndarray) -> float:
-    """The bound about a maximum at its highest, where blocks are others; but for a constant.
+def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarray) -> float:
+    """The highest value of the bound about a maximum when a component has other blocks; up to a constant.
 
     Args:
-        other: With the components in the model alone, one of them another.
-        scatter: Of which the maximum is.
-        found: The maximum.
+        other: Residuals and the components in the model alone, one of them with other blocks.
+        scatter: Residuals and components of the maximum.
+        maximum: The maximum.
         of: Numbers of the components in the model, ascending.
     """
-    bound = replace(_bound(scatter, found.at, found), blocks=other.blocks)
-    return bound.height(bound.best(found.variance[of], np.ones(len(of), dtype=bool), found.low[of]))
+    bound = replace(_bound(scatter, maximum.at, maximum), blocks=other.blocks)
+    return bound.height(bound.best(maximum.variance[of], np.ones(len(of), dtype=bool), maximum.low[of]))
 
 
-def needed(more: Components, fewer: Components, price: float, held: np.ndarray) -> bool:
-    """True if chance does not give as much as further components do, whose shapes cost ``price`` [nat]."""
+def needed(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
+    """True if chance does not explain the gain of ``more`` components, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
-    return boundary_chance(2.0 * gain) * int((~held).sum()) < CHANCE
+    return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < CHANCE
 
 
-def promised(scatter: Scatter, found: Components, of: Sequence[np.ndarray], start: np.ndarray) -> np.ndarray:
-    """What sets of further components gain at the least, shape (sets,), [nat], by the bound about a maximum.
+def promised(scatter: Scatter, maximum: Components, of: Sequence[np.ndarray], start: np.ndarray) -> np.ndarray:
+    """Least gain of sets of further components, shape (sets,), [nat], by the bound about a maximum.
 
     Args:
         scatter: Residuals and components.
-        found: The maximum without them.
-        of: Which, shape (C,) bool each.
+        maximum: The maximum without them.
+        of: The sets, shape (C,) bool each.
         start: Variances that further components begin at, shape (C,).
     """
-    bound = _bound(scatter, found.at, found)
-    wanted = [bound.best(np.where(more, start, found.variance), found.free | more, found.low) for more in of]
-    return np.array([bound.height(variances) for variances in wanted]) - bound.height(found.at)
+    bound = _bound(scatter, maximum.at, maximum)
+    optima = [bound.best(np.where(more, start, maximum.variance), maximum.free | more, maximum.low) for more in of]
+    return np.array([bound.height(variances) for variances in optima]) - bound.height(maximum.at)
 
 
-def instead(scatter: Scatter, found: Components, several: np.ndarray, k: int) -> Components | None:
+def instead(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) -> Components | None:
     """The maximum with one component in place of several; None if it explains the residuals less well than these.
 
     Args:
         scatter: Residuals and components.
-        found: The maximum with the several.
-        several: Which may go, shape (C,) bool.
-        k: What may come.
+        maximum: The maximum with the several.
+        several: Components that may go, shape (C,) bool.
+        k: Component that may come.
     """
-    start, free = np.where(several, 0.0, found.variance), found.free & ~several
-    start[k], free[k] = found.variance[several & found.free].mean(), True
-    fewer = _with_others(scatter, found, start, free)
-    return fewer if fewer.log_likelihood >= found.log_likelihood else None
+    start, free = np.where(several, 0.0, maximum.variance), maximum.free & ~several
+    start[k], free[k] = maximum.variance[several & maximum.free].mean(), True
+    fewer = _with_others(scatter, maximum, start, free)
+    return fewer if fewer.log_likelihood >= maximum.log_likelihood else None
 
 
-def _with_others(scatter: Scatter, found: Components, start: np.ndarray, free: np.ndarray) -> Components:
-    """The maximum with other components; the bound about the one that is there says where to look first."""
-    if (found.free != free).any():
-        start = _bound(scatter, found.at, found).best(start, free, found.low)
-    return _maximum(scatter, start, free, found.low)
+def _with_others(scatter: Scatter, maximum: Components, start: np.ndarray, free: np.ndarray) -> Components:
+    """The maximum with other components in the model, begun where the bound about the present maximum is highest."""
+    if (maximum.free != free).any():
+        start = _bound(scatter, maximum.at, maximum).best(start, free, maximum.low)
+    return _maximum(scatter, start, free, maximum.low)
 
 
 def _maximum(
@@ -258,21 +258,23 @@ def _maximum(
 
     Args:
         scatter: Residuals and components.
-        theta: Variances to begin with, shape (C,); 0 for those that are not in the model.
+        theta: Variances to begin with, shape (C,); 0 for components that are not in the model.
         free: Components in the model, shape (C,) bool.
         low: Below which variances do not fall, shape (C,).
         enough: [nat] that the likelihood may be out by.
     """
-    here, left, gain = place(scatter, theta), 0.0, 0.0
+    here, error, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
     for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
-        step[moving] = shortest(information[np.ix_(moving, moving)], score[moving])  # of none, where data are exact
+        step[moving] = shortest(
+            information[np.ix_(moving, moving)], score[moving]
+        )  # no component moves where data are exact
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))
-        left, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
-        if left < enough:
+        error, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
+        if error < enough:
             break
         higher = _higher(scatter, theta, here, step, promised, free, low)
         if higher is None:
@@ -285,7 +287,7 @@ def _maximum(
     inside = free & (theta > 0.0)
     covariance = np.zeros((len(theta),) * 2)
     covariance[np.ix_(inside, inside)] = shortest(information[np.ix_(inside, inside)], np.eye(int(inside.sum())))
-    return Components(free, ahead, covariance, here.log_likelihood + gain, here.pull, here.kernel, low, theta, left)
+    return Components(free, ahead, covariance, here.log_likelihood + gain, here.pull, here.kernel, low, theta, error)
 
 
 def _higher(
@@ -297,24 +299,24 @@ def _higher(
     free: np.ndarray,
     low: np.ndarray,
 ) -> tuple[np.ndarray, Place] | None:
-    """Variances, and the place there, that are likelier than those of a place; None if the step's direction has none."""
+    """Likelier variances, and the likelihood there; None if the step's direction has none."""
     if promised > FAR:
-        wanted = _bound(scatter, theta, here).best(theta, free, low)
-        there = place(scatter, wanted)
+        variances = _bound(scatter, theta, here).best(theta, free, low)
+        there = place(scatter, variances)
         if there.log_likelihood > here.log_likelihood:
-            return wanted, there
+            return variances, there
     for _ in range(HALVINGS):
-        wanted = np.where(free, np.maximum(theta + step, low), 0.0)
-        there = place(scatter, wanted)
+        variances = np.where(free, np.maximum(theta + step, low), 0.0)
+        there = place(scatter, variances)
         if there.log_likelihood >= here.log_likelihood:
-            return wanted, there
+            return variances, there
         step = 0.5 * step
     return None
 
 
 def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
-    """The bound about a place, of variances ``at``, shape (C,)."""
-    return Bound(scatter.blocks, scatter.stated, moments(covariances(scatter, at), here.pull, here.kernel))
+    """The bound about a likelihood at variances ``at``, shape (C,)."""
+    return Bound(scatter.blocks, scatter.fixed, moments(covariances(scatter, at), here.pull, here.kernel))
 
 
 def boundary_chance(twice: float) -> float:
@@ -325,10 +327,10 @@ def boundary_chance(twice: float) -> float:
     return float(ndtr(-np.sqrt(max(twice, 0.0))))
 
 
-def contributions(scatter: Scatter, found: Components) -> np.ndarray:
-    """What each row adds to the derivative by each component's variance, shape (C, N)."""
+def contributions(scatter: Scatter, maximum: Components) -> np.ndarray:
+    """Contribution of each row to the derivative by each component's variance, shape (C, N)."""
     # u' B u - tr(P B) = tr((u u' - P) B).
-    weight = found.pull[:, :, None] * found.pull[:, None, :] - found.kernel
+    weight = maximum.pull[:, :, None] * maximum.pull[:, None, :] - maximum.kernel
     n = len(weight)
     flat = scatter.blocks.reshape(len(scatter.blocks), n, -1).transpose(1, 0, 2)
     return 0.5 * (flat @ weight.reshape(n, -1, 1))[:, :, 0].T
@@ -336,12 +338,13 @@ def contributions(scatter: Scatter, found: Components) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Asked:
-    """How much each component that is not in the model is asked for; 0 for those in the model, and those it can imitate.
+    """Score tests of the components that are not in the model; 0 for those in it, and those that it can imitate.
 
     Attributes:
-        normal: Standard deviations of chance if noise is normal, shape (C,). What costs something is charged, down to 0.
-        plain: The same from the rows' own contributions (White 1982): a few wild rows, or long tails, do not raise it.
-        variance: That a first step would give it, shape (C,).
+        normal: Score in standard deviations of normal noise, shape (C,), less the component's price, not below 0.
+        plain: Score in standard deviations of the rows' own contributions, shape (C,) (White 1982): a few wild rows, or long
+            tails, do not raise it.
+        variance: Variance after a first step, shape (C,).
     """
 
     normal: np.ndarray
@@ -350,35 +353,35 @@ class Asked:
 
     @property
     def first(self) -> int:
-        """What is asked for most."""
+        """Component with the largest score."""
         return int(np.argmax(self.normal))
 
     @property
     def clear(self) -> bool:
-        """True if what is asked for most is so by the rows' own contributions, or is not, by :data:`CLEAR`."""
+        """True if the plain score of that component is clearly above or below :data:`PLAIN`, by :data:`CLEAR`."""
         return not CLEAR < self.plain[self.first] / PLAIN < 1.0 / CLEAR
 
 
-def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0.0) -> Asked:
+def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> Asked:
     """The score test: the derivative at zero, less what the components in the model take up, over its standard deviation.
 
     Args:
         scatter: Residuals and components.
-        found: The maximum with the components in the model.
+        maximum: The maximum with the components in the model.
         price: Of each component, shape (C,), [nat]: so much of what it would gain is not counted.
     """
-    free = found.free
-    half = found.kernel @ scatter.blocks
+    free = maximum.free
+    half = maximum.kernel @ scatter.blocks
     flat = half.reshape(len(half), -1)
     information = 0.5 * flat @ half.transpose(0, 1, 3, 2).reshape(len(half), -1).T
     share = shortest(information[np.ix_(free, free)], information[free])
     alone = np.diag(information) - np.einsum("fc,fc->c", share, information[free])
-    each = contributions(scatter, found)
-    own = each - share.T @ each[free]
-    score = own.sum(axis=1)
+    each = contributions(scatter, maximum)
+    own_contributions = each - share.T @ each[free]
+    score = own_contributions.sum(axis=1)
     new = ~free & (alone > IMITATED * np.diag(information))
     alone = np.where(new, alone, 1.0)
-    plain = score / np.sqrt(np.maximum(np.sum(own**2, axis=1), TINY))
+    plain = score / np.sqrt(np.maximum(np.sum(own_contributions**2, axis=1), TINY))
     normal = score / np.sqrt(alone)
     charged = np.sqrt(np.maximum(np.maximum(normal, 0.0) ** 2 - 2.0 * price, 0.0))
     normal = np.where(np.asarray(price) > 0.0, charged, normal)

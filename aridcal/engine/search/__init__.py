@@ -1,1 +1,1 @@
-"""Effects that nobody declared; whether the rest is noise, and on what it depends."""
+"""Search for effects that nobody declared; whether the residual is noise, and on what it depends."""

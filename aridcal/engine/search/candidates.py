@@ -1,4 +1,4 @@
-"""What the residual hints at, before anything is tested: harmonics of any order, narrow bumps, dents in space, pairs."""
+"""Candidates that the residual hints at: harmonics of any order, narrow bumps, dents in space, functions of two covariates."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ LOUDEST = 12
 
 
 def hinted(state: State, kinds: Collection[str]) -> list[Effect]:
-    """Candidates of some kinds that are not always tried, but that the residual hints at."""
+    """Candidates of some kinds that are tried only where the residual hints at them."""
     sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
     return [effect for kind, source in sources.items() if kind in kinds for effect in source(state)]
 
@@ -92,17 +92,17 @@ def harmonics(state: State) -> list[Effect]:
     with p the row's pull (weight times the turn that it asks for), its mean taken off (Lomb 1976,
     doi:10.1007/BF00648343).
     """
-    found = []
-    joints = state.model.own
-    looked = SCANNED * len(joints)
+    harmonics_of_joints = []
+    joints = state.model.joints
+    count = SCANNED * len(joints)
     for name in joints:
-        q, pull, weight = _asked(state, name, state.residual, state.used)
+        q, pull, weight = _turns_of_joint(state, name, state.residual, state.used)
         orders = _loud_orders(q, pull, float(weight.sum())) if np.ptp(q) >= STILL and weight.any() else []
         for order in orders:
             usual = order in ORDERS  # tried anyway
             wave = turns(name, "axis", name, order)
-            found.append(Effect("joint_harmonic", name, wave, (order,), looked=1 if usual else looked))
-    return found
+            harmonics_of_joints.append(Effect("joint_harmonic", name, wave, (order,), looked=1 if usual else count))
+    return harmonics_of_joints
 
 
 def narrow_maps(state: State) -> list[Effect]:
@@ -116,9 +116,9 @@ def narrow_maps(state: State) -> list[Effect]:
     """
     clipped = _clipped(state)
     every = np.ones(len(clipped), dtype=bool)
-    places = {name: _asked(state, name, clipped, every) for name in state.model.own}
-    looked = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
-    found = []
+    places = {name: _turns_of_joint(state, name, clipped, every) for name in state.model.joints}
+    count = sum(int(LOOKS * np.ptp(q) / width) for q, _, _ in places.values() for width in WINDOWS)
+    maps = []
     for name, (q, pull, weight) in places.items():
         chi_square, centre, width = _loudest_window(q, pull, weight)
         if chi_square > LOUD_WINDOW:
@@ -126,12 +126,12 @@ def narrow_maps(state: State) -> list[Effect]:
             reach = round(WINDOWS_AROUND * KNOTS_IN_WINDOW)
             knots = [round(centre + k * step, 9) for k in range(-reach, reach + 1)]
             curve = tuple(Coefficient(name, "axis", Basis("bump", (name,), (knot, step))) for knot in knots)
-            found.append(Effect("joint_map", name, curve, smooth=True, looked=looked))
-    return found
+            maps.append(Effect("joint_map", name, curve, smooth=True, looked=count))
+    return maps
 
 
 def dents(state: State) -> list[Effect]:
-    r"""Places around which targets are off that the residual hints at: a ball moved through all places, one of several sizes.
+    r"""Places around which the residual hints that targets are off: balls of several sizes, tried at all places.
 
     With p and w as in :func:`harmonics`, here for a shift of the target, and :math:`\varphi` the function about a place,
 
@@ -169,15 +169,15 @@ def dents(state: State) -> list[Effect]:
 
 
 def _clipped(state: State) -> np.ndarray:
-    """Residuals, shape (N, m): flagged rows may be what is to be explained; they count by as much as a row nearly flagged."""
+    """Residuals, shape (N, m), those of flagged rows cut to the limit of flags: they may be what an effect explains."""
     far = distance(state.residual, state.solution.sigma, state.channels)
     return np.asarray(state.residual * np.minimum(1.0, OUTLIER / np.maximum(far, TINY))[:, None])
 
 
-def _asked(
+def _turns_of_joint(
     state: State, joint: str, residual: np.ndarray, rows: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A joint's readings in some rows, and the turn that each row's residual asks for: pull and weight, shape (n,).
+    """A joint's readings in some rows, and the turn that explains each row's residual, as pull and weight, shape (n,) each.
 
     The mean of the turns is taken off: it belongs to the constants.
     """
@@ -210,42 +210,42 @@ def _loud_orders(q: np.ndarray, pull: np.ndarray, weight: float) -> list[float]:
     """Orders at which the periodogram of the rows' pulls has its highest peaks, the highest first."""
     step = np.pi / (2 * np.ptp(q))
     orders = np.arange(1, SCANNED + 1) * step
-    # Order a + b is that of a times that of b: a table of a few dozen waves makes all of them.
-    # They are powers of the first: products cost a fifth of so many sines and cosines.
+    # The wave of order a + b is the product of those of a and b: a table of a few dozen waves makes all, and its waves
+    # are powers of the first. Products cost a fifth of sines and cosines.
     fine = np.cumprod(np.tile(np.exp(1j * step * q), (TABLE, 1)), axis=0)
     coarse = np.ones((len(range(0, SCANNED, TABLE)), len(q)), dtype=complex)
     np.cumprod(np.tile(fine[-1], (len(coarse) - 1, 1)), axis=0, out=coarse[1:])
-    seen = 2.0 * np.abs((coarse * pull) @ fine.T).ravel()[:SCANNED] ** 2 / weight
-    peaks = np.flatnonzero((seen > np.roll(seen, 1)) & (seen > np.roll(seen, -1)) & (seen > LOUD))
-    found = []
-    for peak in peaks[np.argsort(-seen[peaks])][:PEAKS]:
+    power = 2.0 * np.abs((coarse * pull) @ fine.T).ravel()[:SCANNED] ** 2 / weight
+    peaks = np.flatnonzero((power > np.roll(power, 1)) & (power > np.roll(power, -1)) & (power > LOUD))
+    loud = []
+    for peak in peaks[np.argsort(-power[peaks])][:PEAKS]:
         close = orders[peak] + np.linspace(-1, 1, FINE) * step
         waves = np.empty((FINE, len(q)), dtype=complex)
         waves[0], waves[1:] = np.exp(1j * close[0] * q), np.exp(1j * (close[1] - close[0]) * q)
         order = float(close[np.argmax(np.abs(np.cumprod(waves, axis=0) @ pull))])
         whole = round(order)
-        found.append(float(whole) if abs(order - whole) < WHOLE else round(order, 3))
-    return found
+        loud.append(float(whole) if abs(order - whole) < WHOLE else round(order, 3))
+    return loud
 
 
 def pairs(
     state: State, covariates: Sequence[str], robot: Robot, progress: Progress = SILENT
 ) -> tuple[list[tuple[str, str, tuple[str, str]]], int]:
-    """Where and of which two covariates a smooth function would explain most, and how many were looked at.
+    """Slots and pairs of covariates at which a smooth function would explain most, and the number of all such places.
 
     The residual is pulled back to each slot as the motion that would explain it row by row, and that is projected on
     products of Legendre polynomials in two covariates. A motion depends on no joint of another limb.
     """
-    model, used = state.model, state.used
-    G = model.G[used]
+    model, in_use = state.model, state.used
+    G = model.G[in_use]
     G /= state.sigma[:, None]
     weight = np.einsum("nms,nms->ns", G, G)
-    pull = np.einsum("nms,nm->ns", G, state.residual[used] / state.sigma) / np.sqrt(np.maximum(weight, TINY))
+    pull = np.einsum("nms,nm->ns", G, state.residual[in_use] / state.sigma) / np.sqrt(np.maximum(weight, TINY))
     pull[:, weight.sum(0) <= 0.0] = 0.0
-    pull = np.ascontiguousarray(pull.T)  # slot by slot, for slots are what is picked
+    pull = np.ascontiguousarray(pull.T)  # slot by slot, as slots are picked from it
     frames = [(s, slot) for s, slot in enumerate(model.slots) if slot[1] in FRAME_COMPONENTS]
-    found = []
-    waves = {of: np.polynomial.legendre.legvander(_centred(model.table[of][used]), DEGREE) for of in covariates}
+    places = []
+    waves = {of: np.polynomial.legendre.legvander(_scaled_to_one(model.table[of][in_use]), DEGREE) for of in covariates}
     every = [of for of in combinations(covariates, 2) if robot.on_one_limb(*of)]
     for a, b in progress.over(every, "pairs"):
         products = (waves[a][:, :, None] * waves[b][:, None]).reshape(pull.shape[1], -1)
@@ -253,12 +253,12 @@ def pairs(
         near = [(s, slot) for s, slot in frames if slot[0] in there]
         along = pull[[s for s, _ in near]] @ np.linalg.qr(products)[0]
         explained = np.sum(along**2, axis=1).tolist()
-        found += [(e, (where, component, (a, b))) for e, (_, (where, component)) in zip(explained, near, strict=True)]
-    found.sort(key=lambda pair: -pair[0])
-    return [place for _, place in found[:LOUDEST]], len(found)
+        places += [(e, (where, component, (a, b))) for e, (_, (where, component)) in zip(explained, near, strict=True)]
+    places.sort(key=lambda pair: -pair[0])
+    return [place for _, place in places[:LOUDEST]], len(places)
 
 
-def _centred(values: np.ndarray) -> np.ndarray:
-    """A covariate brought to -1 to 1."""
+def _scaled_to_one(values: np.ndarray) -> np.ndarray:
+    """A covariate scaled to -1 to 1."""
     low, high = float(values.min()), float(values.max())
     return (2.0 * values - low - high) / max(high - low, TINY)

@@ -1,4 +1,4 @@
-r"""When something moved once: the best row for a step at each place, and whether it is a step or a slow walk.
+r"""Steps, when something moved once: the best row for a step of each motion, and whether it is a step or a slow walk.
 
 A step between two rows is a column that is the motion's own up to there and nothing after. For every row k at once, with
 :math:`G_n` the motion's columns in row n and :math:`A_n` the model's, both in sigmas, the sums
@@ -54,7 +54,7 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values: Of the rows in use, shape (n,).
 
     Returns:
-        How many rows come before each, shape (k,), and the values themselves, shape (k,).
+        Number of rows before each step, shape (k,), and the covariate there, shape (k,).
     """
     ordered = np.sort(values)
     before = np.arange(SIDE, len(ordered) - SIDE + 1)
@@ -63,9 +63,9 @@ def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Which steps, by the rows before each, some group of things has enough rows on both sides of, shape (k,) bool.
+    """Which steps have enough rows of some one group of things on both sides, shape (k,) bool; steps by the rows before each.
 
-    A step between the rows of two places cannot be told from what else differs between these: each has an unknown of its own.
+    A step between the rows of two places is confounded with these places, each of which has an unknown of its own.
     ``values`` of the covariate and ``group`` are of the rows in use, shape (n,).
     """
     ordered = group[np.argsort(values, kind="stable")]
@@ -75,28 +75,28 @@ def _within_a_place(values: np.ndarray, group: np.ndarray, before: np.ndarray) -
 def _between_its_rows(
     model: LinearModel, state: State, values: np.ndarray, slots: Sequence[int], before: np.ndarray
 ) -> np.ndarray:
-    """Which steps, by the rows before each, have enough rows on both sides that see what moves, shape (k,) bool.
+    """Which steps have enough rows on both sides that the slots move, shape (k,) bool; steps by the rows before each.
 
-    Of those between two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
+    Of steps between the same two such rows the last. ``values`` of the covariate are of the rows in use, shape (n,).
     """
     sees = np.any(model.G[:, :, list(slots)], axis=(1, 2))[state.used][np.argsort(values, kind="stable")]
     return np.asarray(sees[before] & _on_both_sides(sees, before))
 
 
 def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
-    """Whether enough of the members among ordered rows, (n, ...) bool, are on either side of steps, shape (k, ...)."""
+    """Whether enough members among the ordered rows, (n, ...) bool, are on either side of each step, shape (k, ...)."""
     passed = np.cumsum(members, axis=0)
     there = passed[before - 1]
     return np.asarray((there >= SIDE) & (passed[-1] - there >= SIDE))
 
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
-    """The same effects, each with its step where the residual asks for it most; those that fit nowhere are left out."""
+    """Templates with their step at the row where it explains most; those without a possible row are left out."""
     return state.once(("steps", *templates), lambda: _best_steps(model, state, templates))
 
 
 def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
-    placed: dict[Effect, Effect] = {}
+    steps_of: dict[Effect, Effect] = {}
     for of in dict.fromkeys(e.covariates[0] for e in templates):
         values = model.table[of][state.used]
         before, points = step_points(values)
@@ -106,24 +106,28 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
         possible = {}
         for effect in (e for e in templates if e.covariates[0] == of):
             slots = model.slots_of(effect)
-            mine = _between_its_rows(model, state, values, slots, before)
-            if mine.any():
-                possible[effect] = slots, mine
+            possible_steps = _between_its_rows(model, state, values, slots, before)
+            if possible_steps.any():
+                possible[effect] = slots, possible_steps
         if not possible:
             continue
-        groups = [(slots, before[mine]) for slots, mine in possible.values()]
-        best = _Scan.of(state, of, groups).best(groups) if model.off is None else _tried(model, state, values, groups)
-        for (effect, (_, mine)), place in zip(possible.items(), best, strict=True):
-            placed[effect] = effect.placed(float(points[mine][place]))
-    return [placed[effect] for effect in templates if effect in placed]
+        groups = [(slots, before[possible_steps]) for slots, possible_steps in possible.values()]
+        best = (
+            _Scan.of(state, of, groups).best(groups)
+            if model.off is None
+            else _best_one_by_one(model, state, values, groups)
+        )
+        for (effect, (_, possible_steps)), place in zip(possible.items(), best, strict=True):
+            steps_of[effect] = effect.placed(float(points[possible_steps][place]))
+    return [steps_of[effect] for effect in templates if effect in steps_of]
 
 
 # Slots that move together, and the rows before each of the steps that they may have, ascending.
 Group = tuple[Sequence[int], np.ndarray]
 
 
-def _tried(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
-    """Index of the step of each group that explains most, tried one by one: unknown things take a part of each off.
+def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+    """Index of the best step of each group, tried one by one, as unknown things take up a part of each.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
     """
@@ -154,7 +158,7 @@ class _Scan:
         G: Columns of the slots over the variance, zero in rows that are not in use, shape (N, m, S).
         squares: (C'C) up to each row in use, shape (n + 1, S, S).
         pulls: s up to each, shape (n + 1, S).
-        members: Columns of what is in the design, shape (N, m, d) each.
+        members: Columns of the design's members, shape (N, m, d) each.
         row: Place of each row in use, shape (n,).
     """
 
@@ -168,18 +172,18 @@ class _Scan:
 
     @classmethod
     def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
-        """The sums for some groups of slots, rows in the order of a covariate."""
+        """The sums for some groups of slots, rows in the order of the covariate ``of``."""
         model = state.model
-        own = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
+        moving = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
         order = np.argsort(model.table[of], kind="stable")
-        used = state.used[order]
-        row, sigma = np.flatnonzero(used), state.sigma[:, None]
-        g = model.G[:, :, own][order] * (used[:, None] / state.sigma)[:, :, None]
+        in_use = state.used[order]
+        row, sigma = np.flatnonzero(in_use), state.sigma[:, None]
+        g = model.G[:, :, moving][order] * (in_use[:, None] / state.sigma)[:, :, None]
         members = tuple(model.products.in_order(of, order, effect) for effect, _ in state.members)
         turned, right = g[row].transpose(0, 2, 1), state.residual[order[row], :, None] / sigma
         sums = (np.cumsum(each, axis=0) for each in (turned @ g[row], (turned @ right)[:, :, 0]))
         squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
-        return cls(state, {slot: k for k, slot in enumerate(own)}, g / sigma, squares, pulls, members, row)
+        return cls(state, {slot: k for k, slot in enumerate(moving)}, g / sigma, squares, pulls, members, row)
 
     def best(self, groups: Sequence[Group]) -> list[int]:
         """Index of the step of each group that explains most."""
@@ -187,14 +191,14 @@ class _Scan:
         nodes = self._nodes(every)
 
         def best_of(slots: Sequence[int], before: np.ndarray) -> int:
-            own = [self.slots[slot] for slot in slots]
+            columns = [self.slots[slot] for slot in slots]
 
             def promising(rough: np.ndarray) -> np.ndarray:
-                seems = self._explained(own, rough, nodes.between(rough, own))
+                seems = self._explained(columns, rough, nodes.between(rough, columns))
                 return np.sort(np.argsort(-seems, kind="stable")[:CLOSELY])
 
             def exactly(rows: np.ndarray) -> np.ndarray:
-                return self._explained(own, rows, self._taken(self._shared(own, rows, nodes)))
+                return self._explained(columns, rows, self._taken(self._shared(columns, rows, nodes)))
 
             return _best(before, exactly, promising)
 
@@ -206,13 +210,13 @@ class _Scan:
         shared = self._shared(range(len(self.slots)), before)
         return _Nodes(before, shared, self._taken(shared))
 
-    def _explained(self, own: Sequence[int], before: np.ndarray, taken: np.ndarray) -> np.ndarray:
-        """Squares that steps of some columns explain, shape (k,), the model taking up so much of their products, (k, d, d)."""
-        squares = self.squares[before][:, own][:, :, own]
-        return explained(squares - taken, self.pulls[before][:, own], np.einsum("kss->ks", squares))[0]
+    def _explained(self, columns: Sequence[int], before: np.ndarray, products: np.ndarray) -> np.ndarray:
+        """Squares that steps of some columns explain, shape (k,); the model takes up the part ``products``, (k, d, d)."""
+        squares = self.squares[before][:, columns][:, :, columns]
+        return explained(squares - products, self.pulls[before][:, columns], np.einsum("kss->ks", squares))[0]
 
     def _taken(self, shared: np.ndarray) -> np.ndarray:
-        """What the model takes up of products of columns, shape (k, d, d), from those with the members' columns, (k, d, W)."""
+        """Part of the products of columns that the model takes up, (k, d, d), from those with the members' columns, (k, d, W)."""
         ends = np.cumsum([member.shape[2] for member in self.members])[:-1]
         shared = self.state.in_modes(np.split(shared, ends, axis=2))
         inverse = self.state.solution.inverse
@@ -220,53 +224,53 @@ class _Scan:
             (shared.reshape(-1, len(inverse)) @ inverse).reshape(shared.shape) @ np.swapaxes(shared, 1, 2)
         )
 
-    def _shared(self, own: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
-        """C'A of some columns and the members' before some rows, ascending, shape (k, d, W), summed from the nodes on."""
-        G = self.G[:, :, own]
-        done, total = 0, np.zeros((len(own), sum(member.shape[2] for member in self.members)))
+    def _shared(self, columns: Sequence[int], before: np.ndarray, nodes: _Nodes | None = None) -> np.ndarray:
+        """C'A over the rows before each step, ascending, of some columns and the members', (k, d, W), summed from nodes on."""
+        G = self.G[:, :, columns]
+        end, total = 0, np.zeros((len(columns), sum(member.shape[2] for member in self.members)))
         sums = np.empty((len(before), *total.shape))
         for k, (count, stop) in enumerate(zip(before.tolist(), self.row[before].tolist(), strict=True)):
-            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > done:
-                done, total = int(self.row[nodes.before[node]]), nodes.shared[node][own]
-            if stop > done:
-                part = G[done:stop].reshape(-1, len(own)).T
-                more = [part @ member[done:stop].reshape(part.shape[1], -1) for member in self.members]
-                done, total = stop, total + np.hstack(more)
+            if nodes is not None and (node := nodes.last(count)) >= 0 and self.row[nodes.before[node]] > end:
+                end, total = int(self.row[nodes.before[node]]), nodes.shared[node][columns]
+            if stop > end:
+                part = G[end:stop].reshape(-1, len(columns)).T
+                more = [part @ member[end:stop].reshape(part.shape[1], -1) for member in self.members]
+                end, total = stop, total + np.hstack(more)
             sums[k] = total
         return sums
 
 
 @dataclass(frozen=True)
 class _Nodes:
-    """Steps for which it is known what the model takes up of them.
+    """Steps at which the part that the model takes up is computed.
 
     Attributes:
         before: Rows before each, ascending, shape (k,).
         shared: C'A, shape (k, S, W).
-        taken: What the model takes up of the products of their columns, shape (k, S, S).
+        taken_up: Part of the products of their columns that the model takes up, shape (k, S, S).
     """
 
     before: np.ndarray
     shared: np.ndarray
-    taken: np.ndarray
+    taken_up: np.ndarray
 
     def last(self, count: int) -> int:
         """Number of the last of them with no more rows before it; -1 if there is none."""
         return int(np.searchsorted(self.before, count, side="right")) - 1
 
-    def between(self, before: np.ndarray, own: Sequence[int]) -> np.ndarray:
-        """What the model takes up of some columns before so many rows, in a line between nodes, shape (k, d, d)."""
-        taken = self.taken[:, own][:, :, own]
+    def between(self, before: np.ndarray, columns: Sequence[int]) -> np.ndarray:
+        """Part of the products of some columns that the model takes up at steps, linear between nodes, shape (k, d, d)."""
+        products = self.taken_up[:, columns][:, :, columns]
         if len(self.before) == 1:
-            return np.repeat(taken, len(before), axis=0)
+            return np.repeat(products, len(before), axis=0)
         high = np.clip(np.searchsorted(self.before, before), 1, len(self.before) - 1)
         low = high - 1
         share = ((before - self.before[low]) / (self.before[high] - self.before[low]))[:, None, None]
-        return np.asarray((1.0 - share) * taken[low] + share * taken[high])
+        return np.asarray((1.0 - share) * products[low] + share * products[high])
 
 
 def _evenly(before: np.ndarray, most: int) -> np.ndarray:
-    """At the most so many of some steps, evenly, from the first to the last."""
+    """``most`` of some steps, evenly from the first to the last; all if they are fewer."""
     return before[np.unique(np.linspace(0, len(before) - 1, min(most, len(before))).round().astype(int))]
 
 
@@ -279,8 +283,8 @@ def _best(
 
     Args:
         before: Rows before each step, ascending, shape (k,).
-        squares: Squares that some of these explain.
-        promising: Which of the first, ascending, are looked at; all otherwise.
+        squares: Gives the squares that some of the steps explain.
+        promising: Chooses which of the first steps are computed, ascending; None: all.
     """
     rough = _evenly(before, COARSE)
     some = np.arange(len(rough)) if promising is None else promising(rough)
@@ -293,7 +297,7 @@ def _best(
 def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
 
-    What each row asks for along the step's own motion is a series y, with the step in the model. It is explained twice,
+    The motion that explains each row's residual by itself, with the step in the model, is a series y. It is explained twice,
     with and without the step, as a constant and noise of two sorts: white, and an autoregression over the rows
 
     .. math:: x_{t+1} = e^{-1/L} x_t + \eta_t, \qquad L = \infty \text{ for a random walk}
@@ -319,12 +323,12 @@ def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
     right = by_row(state.right, state.channels, state.present) / sigma
     motion = model.G[state.used][:, :, model.slots_of(effect)] / sigma[:, None] @ solution.beta[-d:]
     weight = np.sum(motion**2, axis=1)
-    asked = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
-    seen = weight > 0.0
-    order = order[seen[order]]
+    pull = np.sum(motion * (right - design @ solution.beta[:-d]), axis=1)
+    informed = weight > 0.0
+    order = order[informed[order]]
     step = np.where(values < effect.coefficients[0].basis.numbers[0], -1.0, 0.0)
     points = len(step_points(values)[0])
-    series = np.stack([asked / np.where(seen, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
+    series = np.stack([pull / np.where(informed, weight, 1.0), np.ones(len(values)), step], axis=1)[order]
     without, with_step = _likelihoods(series, 1.0 / weight[order])
     twice = 2.0 * max(with_step - without, 0.0)
     return float(min(1.0, points * gammaincc(0.5 * d, 0.5 * twice)))
@@ -341,10 +345,10 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
     length, wander = (grid.ravel() for grid in np.meshgrid(LENGTHS, WANDERS))
     fade = np.exp(-1.0 / length)
     endless = np.isinf(length)
-    own = white * wander
-    # A walk of so much a row; an autoregression that has so much variance in the long run.
-    added = np.where(endless, own, own * (1.0 - fade**2))
-    P = np.where(endless, 0.0, own)
+    long_run = white * wander
+    # Variance of each row's step: a walk grows by it; an autoregression of it has ``long_run`` in the long run.
+    innovation_variance = np.where(endless, long_run, long_run * (1.0 - fade**2))
+    P = np.where(endless, 0.0, long_run)
     x = np.zeros((len(fade), 3))
     products = np.zeros((len(fade), 3, 3))
     logs = np.zeros(len(fade))
@@ -355,10 +359,10 @@ def _likelihoods(series: np.ndarray, variance: np.ndarray) -> tuple[float, float
         logs += np.log(F)
         gain = P / F
         x = fade[:, None] * (x + gain[:, None] * innovation)
-        P = fade**2 * P * (1.0 - gain) + added
+        P = fade**2 * P * (1.0 - gain) + innovation_variance
     best = []
     for k in (1, 2):
         inner, cross = products[:, 1 : k + 1, 1 : k + 1], products[:, 1 : k + 1, 0]
-        left = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
-        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(left, np.finfo(float).tiny)) + logs))))
+        squares = products[:, 0, 0] - np.einsum("pk,pk->p", cross, np.linalg.solve(inner, cross[:, :, None])[:, :, 0])
+        best.append(float(np.max(-0.5 * (n * np.log(np.maximum(squares, np.finfo(float).tiny)) + logs))))
     return best[0], best[1]

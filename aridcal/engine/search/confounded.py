@@ -1,4 +1,4 @@
-"""Causes that the rows cannot tell from those named: which they are, how likely each is, and what the model would be with it."""
+"""Rivals: causes that the rows cannot tell from the named ones, how likely each is, and the model with it."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ is left, which is more than the 3 nats of a tie of all that passes the gates."""
 
 @dataclass(frozen=True)
 class Tied:
-    """One rival of an effect, put in its place.
+    """One rival of an effect, and the model with it in the effect's place.
 
     Attributes:
         effect: The rival.
         instead_of: The effect that is named.
-        weight: How likely it is, of the effect and all its rivals; these sum to 1.
-        change: By how much every coefficient differs from the model's own, all others solved anew: those of the effect are gone.
+        weight: Its probability; those of the effect and all its rivals sum to 1.
+        change: Difference of every coefficient from the model's, all solved anew; the effect's own become zero.
     """
 
     effect: Effect
@@ -51,11 +51,11 @@ class Tied:
 def twins(
     state: State, library: Sequence[Effect], progress: Progress = SILENT
 ) -> tuple[tuple[tuple[Effect, Score], ...], ...]:
-    """Each effect, and the candidates that would do about as well in its place; nothing where none are sought."""
+    """For each effect: itself and the candidates of about as much evidence in its place; empty for effects not compared."""
     small = is_small(state.model, library)
-    asked = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
-    lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *asked]))
-    rough = score_without(state.model, lasting, state, asked, progress)
+    effects = [a.effect for a in state.active if small or not a.effect.smooth or is_of_labels(a.effect)]
+    lasting = list(dict.fromkeys([*(e for e in library if e.at is None), *effects]))
+    rough = score_without(state.model, lasting, state, effects, progress)
     return tuple(
         _twins(state, library, a, rough[a.effect], progress) if a.effect in rough else () for a in state.active
     )
@@ -64,57 +64,57 @@ def twins(
 def _twins(
     state: State,
     library: Sequence[Effect],
-    mine: Active,
+    named: Active,
     rough: Mapping[Effect, Score],
     progress: Progress,
 ) -> tuple[tuple[Effect, Score], ...]:
-    """One of the effects, and candidates that would do about as well in its place.
+    """An effect and the candidates of about as much evidence in its place, with their scores.
 
     Args:
+        state: The model with the effect.
         library: Candidates.
-        state: The model with it.
-        mine: The effect.
-        rough: Scores of candidates without it.
-        progress: Told how many are scored.
+        named: The effect.
+        rough: Rough scores of candidates without it.
+        progress: Called with the number of candidates scored.
     """
-    without = without_effect(state, mine.effect)
-    rivals = in_place_of(state, library, mine.effect)
-    also = [mine.effect, *mirrored(state.model.table, mine.effect)]
-    ranked = rank(without, rivals, also=also, progress=progress, known=rough)
-    own = next((s for e, s in ranked if e == mine.effect), None)
-    if own is None:
+    without = without_effect(state, named.effect)
+    rivals = in_place_of(state, library, named.effect)
+    also = [named.effect, *mirrored(state.model.table, named.effect)]
+    ranked = rank(without, rivals, also=also, progress=progress, scores=rough)
+    score = next((s for e, s in ranked if e == named.effect), None)
+    if score is None:
         return ()
-    name = (mine.effect.kind, mine.effect.where, mine.effect.with_, mine.effect.by)
+    name = (named.effect.kind, named.effect.where, named.effect.with_, named.effect.by)
     twins: dict[tuple[object, ...], tuple[Effect, Score]] = {}
-    for effect, found in ranked[:RANKED]:
-        other = (effect.kind, effect.where, effect.with_, effect.by)
-        if found.gain > own.gain - CLOSE and other != name:
-            twins.setdefault(other, (effect, found))
-    return (mine.effect, own), *twins.values()
+    for rival, score_of_rival in ranked[:RANKED]:
+        other = (rival.kind, rival.where, rival.with_, rival.by)
+        if score_of_rival.gain > score.gain - CLOSE and other != name:
+            twins.setdefault(other, (rival, score_of_rival))
+    return (named.effect, score), *twins.values()
 
 
-def mirrored(table: Mapping[str, np.ndarray], mine: Effect) -> list[Effect]:
-    """The same step or slope over each other column that goes with its covariate in these rows, a joint's reading perhaps."""
-    first = mine.coefficients[0].basis
-    if mine.smooth or first.form not in ("step", "linear") or len({c.basis for c in mine.coefficients}) > 1:
+def mirrored(table: Mapping[str, np.ndarray], effect: Effect) -> list[Effect]:
+    """A step or slope again over each column that correlates with its covariate in these rows, a joint's reading perhaps."""
+    first = effect.coefficients[0].basis
+    if effect.smooth or first.form not in ("step", "linear") or len({c.basis for c in effect.coefficients}) > 1:
         return []
-    own = table[first.of[0]]
+    reading = table[first.of[0]]
     values = evaluate(first, table)
-    found = []
+    mirrors = []
     for name, column in table.items():
         if name in first.of or is_load(name) or is_sight(name) or is_label(name) or np.ptp(column) == 0.0:
             continue
         if name == ROW_ORDER and (first.form == "linear" or "time" in table):
-            continue  # the order of rows to come says nothing, and goes with the time
-        basis = _over(name, column, values, first.form)
-        if abs(np.corrcoef(evaluate(basis, table), values)[0, 1]) > SIMILAR and not np.array_equal(column, own):
-            moved = tuple(replace(c, basis=basis) for c in mine.coefficients)
-            found.append(Effect(_kind(mine, name, first.form), mine.where, moved))
-    return found
+            continue  # rows to come have no such order, and it correlates with the time
+        basis = _basis_over(name, column, values, first.form)
+        if abs(np.corrcoef(evaluate(basis, table), values)[0, 1]) > SIMILAR and not np.array_equal(column, reading):
+            coefficients = tuple(replace(c, basis=basis) for c in effect.coefficients)
+            mirrors.append(Effect(_kind_over(effect, name, first.form), effect.where, coefficients))
+    return mirrors
 
 
-def _over(name: str, column: np.ndarray, values: np.ndarray, form: str) -> Basis:
-    """A slope over a column, or the step in it that goes best with other values (N,)."""
+def _basis_over(name: str, column: np.ndarray, values: np.ndarray, form: str) -> Basis:
+    """The basis of a slope over a column, or of the step in it that correlates best with other values (N,)."""
     if form == "linear":
         return Basis(form, (name,), (round(float(column.mean()), 9),))
     order = np.argsort(column, kind="stable")
@@ -126,13 +126,13 @@ def _over(name: str, column: np.ndarray, values: np.ndarray, form: str) -> Basis
     return Basis(form, (name,), (float(0.5 * (ordered[k] + ordered[k + 1])),))
 
 
-def _kind(mine: Effect, name: str, form: str) -> str:
-    """What kind of effect goes with a column."""
+def _kind_over(effect: Effect, name: str, form: str) -> str:
+    """Kind of an effect when it is over another column."""
     if name in ("time", ROW_ORDER):
         return "shift" if form == "step" else "drift"
     if name.startswith("temperature"):
         return "thermal" if form == "linear" else "unknown"
-    if name == mine.where and mine.motion == ("axis",):
+    if name == effect.where and effect.motion == ("axis",):
         return "joint_gain" if form == "linear" else "joint_map"
     return "unknown"
 
@@ -152,36 +152,36 @@ def tied(
     Args:
         state: The model as it is.
         constants: Its K constants.
-        twins: For each effect itself, first, and its rivals; nothing where none were asked for.
+        twins: Each effect, first, and its rivals; empty for effects not compared; see :func:`twins`.
     """
     return tuple(
-        one
-        for a, own in zip(state.active, twins, strict=True)
-        if len(own) > 1 and not a.stated and not a.effect.smooth
-        for one in _tied(state, constants, a, own)
+        rival
+        for a, rivals in zip(state.active, twins, strict=True)
+        if len(rivals) > 1 and not a.declared and not a.effect.smooth
+        for rival in _rivals(state, constants, a, rivals)
     )
 
 
-def _tied(
-    state: State, constants: Sequence[Coefficient], mine: Active, twins: Sequence[tuple[Effect, Score]]
+def _rivals(
+    state: State, constants: Sequence[Coefficient], named: Active, twins: Sequence[tuple[Effect, Score]]
 ) -> Iterator[Tied]:
     """The rivals of one effect."""
-    without, before = without_effect(state, mine.effect), state.coefficients(constants)
-    for (effect, found), weight in zip(twins[1:], weights(twins)[1:], strict=True):
-        rival = activate(without, effect, found)
-        with_it = without.with_active((*without.active, rival), noise_with(without, found), fixed=True)
+    without, before = without_effect(state, named.effect), state.coefficients(constants)
+    for (effect, score), weight in zip(twins[1:], weights(twins)[1:], strict=True):
+        rival = activate(without, effect, score)
+        with_it = without.with_active((*without.active, rival), noise_with(without, score), fixed=True)
         after = with_it.coefficients(constants)
         change = {c: after.get(c, 0.0) - before.get(c, 0.0) for c in (before | after)}
-        yield Tied(effect, mine.effect, weight, tuple((c, value) for c, value in change.items() if value != 0.0))
+        yield Tied(effect, named.effect, weight, tuple((c, value) for c, value in change.items() if value != 0.0))
 
 
 def weights(twins: Sequence[tuple[Effect, Score]]) -> list[float]:
-    """How likely each of some effects is, see :func:`tied`; they sum to 1."""
-    gains = np.array([found.gain for _, found in twins])
+    """Probabilities of an effect and its rivals, which sum to 1; see :func:`tied`."""
+    gains = np.array([score.gain for _, score in twins])
     causes = [frozenset(effect.covariates) for effect, _ in twins]
     each = np.exp(gains - gains.max())
-    found = np.empty(len(each))
+    likely = np.empty(len(each))
     for cause in set(causes):
-        own = np.array([other == cause for other in causes])
-        found[own] = each[own].max() * each[own] / each[own].sum()
-    return list((found / found.sum()).tolist())
+        members = np.array([other == cause for other in causes])
+        likely[members] = each[members].max() * each[members] / each[members].sum()
+    return list((likely / likely.sum()).tolist())

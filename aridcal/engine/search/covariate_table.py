@@ -1,4 +1,4 @@
-"""What effects may depend on: all that was measured or follows from it, of rows as they were read or where they agree."""
+"""Covariates that effects may depend on: measured, or derived from measurements, at the rows' readings."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from aridcal.engine.rows.dataset import Dataset
 
 
 def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
-    """What candidates can be made from, and what cannot be tested, by rows of a model that knows its surroundings."""
+    """Covariates of rows for candidate effects, and the effects that cannot be tested; the model knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.origin.derived}
-    usable, barred = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
+    usable, barred_columns = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
     frames = rows_of_data(model, rows)
     measured = {name: rows.conditions[name] for name in (*usable, ROW_ORDER)}
     for mass in model.around.masses:
@@ -30,11 +30,11 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     )
     gravity = np.atleast_2d(model.around.gravity)[0]
     table |= model.sight_columns(rows.readings, gravity, frames.tip, frames.route)
-    # A derived side of approach is for backlash alone: nothing else is asked whether it depends on it.
+    # A derived side of approach is for backlash alone: no other effect may depend on it.
     table |= {name: derived[name] for name in usable_columns(derived)[0]}
     labels = [label_column(label) for label in labels_in(rows.labels.station)]
     if len(labels) > MOST_LABELS:
-        barred.append(
+        barred_columns.append(
             Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
         )
         labels = []
@@ -46,9 +46,10 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
         orientations=rows.sees_turns,
         held=model.instruments.held,
         referred={
-            (role, name): len(np.unique(rows.repeats.configuration[own])) for role, name, own in references(rows)
+            (role, name): len(np.unique(rows.repeats.configuration[referring]))
+            for role, name, referring in references(rows)
         },
         labels=tuple(labels),
         masses=model.around.masses,
     )
-    return observed, barred + barred_joints(observed)
+    return observed, barred_columns + barred_joints(observed)

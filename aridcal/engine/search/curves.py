@@ -1,4 +1,4 @@
-"""Curves of a model shaped anew beside all else that is in it: found one after the other, each hides what the others do."""
+"""Curves of a model shaped anew beside all other effects: shaped before these were there, each took over a part of them."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ SAME = 0.1
 
 
 def reshaped(state: State, some: Callable[[Active], bool]) -> State:
-    """The model with the shapes of its curves found anew, one after the other, until they stay.
+    """The model with the shapes of its curves estimated anew, one after the other, until they stay.
 
-    A curve that is shaped before others are in the model bends after what they do, and would stay as rough.
+    A curve that is shaped before others are in the model follows their effects too, and would stay as rough.
 
     Args:
         state: A set of effects.
-        some: Which of them.
+        some: Says which of them are shaped anew.
     """
     for _ in range(ROUNDS):
         before = state
         for one in [a for a in state.active if a.effect.smooth and some(a)]:
             without = without_effect(state, one.effect)
-            found = score_of(without, one.effect)
-            if found.freedom == 0 or _alike(one, found.tau, found.kernel):
+            score = score_of(without, one.effect)
+            if score.freedom == 0 or _same_shape(one, score.tau, score.kernel):
                 continue
-            again = replace(activate(without, one.effect, found), stated=one.stated)
-            state = state.with_active([again if a is one else a for a in state.active])
+            shaped = replace(activate(without, one.effect, score), declared=one.declared)
+            state = state.with_active([shaped if a is one else a for a in state.active])
         if state is before:
             break
     return state
 
 
-def _alike(one: Active, tau: float, kernel: object) -> bool:
-    """True if another shape of a curve is as good as its own."""
+def _same_shape(one: Active, tau: float, kernel: object) -> bool:
+    """True if another size and kernel are those of a curve, but for :data:`SAME`."""
     return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=SAME))

@@ -1,4 +1,4 @@
-"""From residual to effect: what the model lacks, added and refitted, and what is left when nothing more has a name."""
+"""From residual to effect: the search on the linear model, the refit on the exact one, then smooth functions without a cause."""
 
 from __future__ import annotations
 
@@ -90,18 +90,18 @@ Shaped = tuple[Effect, float, Kernel]
 
 @dataclass(frozen=True)
 class Diagnosed:
-    """The final model and how it came about.
+    """The final model and the search that led to it.
 
     Attributes:
         fit: Constants and effects, fitted together on the exact model.
         linearised_at: Where the model was linearised for the last search.
         observed: Covariates of the rows that were searched: some of the training rows, if there are thousands.
         found: The search's result.
-        named: The candidates that have a name.
+        named: The candidates whose kind names a cause.
         barred: Candidates that could not be tested, and why.
-        scattered: True if rows of one place err alike, beside which the effects were found.
+        scattered: True if rows of one place err alike, and the effects were searched beside that scatter.
         confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
-        tied: How likely these are, and what the model is with each.
+        tied: Weights of these candidates, and the model with each.
     """
 
     fit: Fit
@@ -121,19 +121,19 @@ class Diagnosed:
 
     @property
     def declared(self) -> tuple[Effect, ...]:
-        """Effects that the campaign states."""
-        return tuple(a.effect for a in self.found.state.active if a.stated)
+        """Effects that the campaign declares."""
+        return tuple(a.effect for a in self.found.state.active if a.declared)
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What one search works with.
+    """Rows, covariates and candidates of one search.
 
     Attributes:
         start: The geometric stage and the rows.
         observed: Their covariates.
         library: All effects that may come into the model.
-        scatter: What rows of one place may err by alike, beside which effects must show.
+        scatter: Effects by which rows of one place may err alike; all others must show beside them.
     """
 
     start: Start
@@ -143,7 +143,7 @@ class Setting:
 
     @property
     def progress(self) -> Progress:
-        """Called with what is being done."""
+        """Called with the work in hand."""
         return self.start.progress
 
     def linear(self, at: Fit, active: Sequence[Active] = ()) -> LinearModel:
@@ -158,12 +158,12 @@ class Setting:
 
 @dataclass(frozen=True)
 class Step:
-    """How far a search is.
+    """The state of a search between two refits.
 
     Attributes:
-        at: The exact model as it was fitted last, about which the state of what was found is linear.
+        at: The last fit of the exact model, about which the state of ``found`` is linear.
         found: The effects.
-        fitted: Shapes of the effects that it was fitted with.
+        fitted: Shapes of the effects of that fit.
     """
 
     at: Fit
@@ -181,58 +181,63 @@ def diagnose(
     """Find the effects that the geometric model lacks, and fit all together.
 
     Args:
-        question: Which effects are stated, and which kinds may be sought.
+        question: Which effects are declared, and which kinds may be added.
         geometric: The geometric stage.
         train: The rows that it was fitted to.
-        progress: Called with what is being done.
-        before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, and not
-            sought again; where they were found beside the scatter of places, which the weights now hold, they are only fitted.
+        progress: Called with the work in hand.
+        before: An earlier search, on other weights: where a search takes long, its effects are confirmed and added to, without
+            a new search; where they come from a search beside the scatter of places, which is now in the weights, they are only
+            fitted.
     """
     every = Start(geometric, train, limits(train), progress)
-    first = _diagnosed(question, every, before)
-    if any(not a.stated for a in first.found.state.active) and not first.scattered:
-        scatter = scatter_of(_thinned(every).train)
+    first = _search_once(question, every, before)
+    if any(not a.declared for a in first.found.state.active) and not first.scattered:
+        scatter = scatter_of(_fewer_rows(every).train)
         if scatter:
             progress("asking whether rows of one place err alike, in place of these effects")
-            beside = _diagnosed(question, every, None, scatter)
-            used = first.found.state.used & beside.found.state.used
-            first = max(first, beside, key=partial(_evidence, scatter, used))
+            beside = _search_once(question, every, None, scatter)
+            in_use = first.found.state.used & beside.found.state.used
+            first = max(first, beside, key=partial(_evidence, scatter, in_use))
     together = cluster(first.fit.outliers, train)
     if together is None or together.p_value > TOGETHER:
         return first
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
-    # What these rows show may be structure: they count whatever they leave.
+    # These rows may show structure: they are not flagged, however large their residuals.
     counting = replace(every, limit=limits(train, together.rows))
-    again = _diagnosed(question, counting, replace(first, scattered=False))
-    left = int((again.fit.outliers & together.rows).sum())
-    return again if left < EXPLAINED * together.rows.sum() else first
+    with_flagged = _search_once(question, counting, replace(first, scattered=False))
+    flagged = int((with_flagged.fit.outliers & together.rows).sum())
+    return with_flagged if flagged < EXPLAINED * together.rows.sum() else first
 
 
-def _diagnosed(
+def _search_once(
     question: Question, every: Start, before: Diagnosed | None, scatter: tuple[Effect, ...] = ()
 ) -> Diagnosed:
     """One search in all training rows; see :func:`diagnose` and :class:`Setting`."""
-    start, progress = _thinned(every), every.progress
+    start, progress = _fewer_rows(every), every.progress
     geometric = start.geometric
     progress("listing the effects that these rows can show")
-    observed, barred = look(geometric.model, start.train)
-    stated = [declared(observed, d, str(question.source)) for d in question.effects]
-    taken = {e.identity for e in stated}
+    observed, barred_effects = look(geometric.model, start.train)
+    declared_effects = [declared(observed, d, str(question.source)) for d in question.effects]
+    identities = {e.identity for e in declared_effects}
     named = [
-        e for e in candidates(observed, tuple(k for k in question.sought if KINDS[k].named)) if e.identity not in taken
+        e
+        for e in candidates(observed, tuple(k for k in question.sought if KINDS[k].named))
+        if e.identity not in identities
     ]
     unnamed = candidates(observed, tuple(k for k in question.sought if not KINDS[k].named))
     if few_places(geometric.model, start.train):
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
-        barred += [Barred(kind, FEW_PLACES) for kind in curves]
+        barred_effects += [Barred(kind, FEW_PLACES) for kind in curves]
         named, unnamed = [e for e in named if not e.smooth], []
-    setting = Setting(start, observed, (*named, *unnamed, *stated, *scatter_of(start.train)), scatter)
+    setting = Setting(start, observed, (*named, *unnamed, *declared_effects, *scatter_of(start.train)), scatter)
     progress("linearising the model")
-    state, lost = with_declared(setting.linear(geometric), stated, [d.at is None for d in question.effects], geometric)
+    state, lost_effects = with_declared(
+        setting.linear(geometric), declared_effects, [d.at is None for d in question.effects], geometric
+    )
     named = [e for e in named if state.model.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    barred += lost + tied_to_frames(state, named)
+    barred_effects += lost_effects + tied_to_frames(state, named)
     state = with_scatter(state, scatter)
     if has_scatter(state):
         progress("rows of one place err alike: testing beside that")
@@ -243,100 +248,100 @@ def _diagnosed(
         at, state = _large_first(setting, named, state)
     fresh = (small and not settled) or before is None
     if before is not None and not fresh:
-        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.stated)))
+        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.declared)))
         if not settled:
             state = confirmed(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
         step = Step(at, replace(before.found, state=state))
     else:
-        step = _searched(setting, named, Step(at, Found(state, (), 0)), fresh)
-    found = step.found
-    state, lost = with_fields(reshaped(found.state, lambda a: a.stated), stated)
-    found, barred = replace(found, state=state), barred + lost
+        step = _search_named(setting, named, Step(at, Found(state, (), 0)), fresh)
+    result = step.found
+    state, lost_effects = with_fields(reshaped(result.state, lambda a: a.declared), declared_effects)
+    result, barred_effects = replace(result, state=state), barred_effects + lost_effects
     if unnamed and not settled:
         progress(f"testing {len(unnamed)} functions of unknown cause, then pairs")
-        found = _unnamed(setting, unnamed, found, fresh)
-        if fresh and len(found.state.active) > len(state.active):  # what only imitated it is not missed any more
-            found = replace(found, state=search(found.state, named, 0, progress=progress).state)
-    scattered = has_scatter(found.state)
-    state = without_scatter(found.state)
-    state.model.products.forget()  # of the library no more is asked here
+        result = _search_unnamed(setting, unnamed, result, fresh)
+        if fresh and len(result.state.active) > len(state.active):  # effects that only imitated a curve leave
+            result = replace(result, state=search(result.state, named, 0, progress=progress).state)
+    scattered = has_scatter(result.state)
+    state = without_scatter(result.state)
+    state.model.products.forget()  # no candidate is scored any more
     final, bent = step.at, False
     if _shapes(state) != step.fitted:
-        progress(_fitting(state))
+        progress(_words_of_refit(state))
         final = refit(start, state, final)
         bent = not small and bool(np.any(np.abs(np.log(final.estimated / state.solution.sigma)) > BENT))
     linearised_at = final
     if state.active:
         state = setting.about(final, state, final.sigma)
-        kept = state if scattered or settled else missed(state.model, state)
+        reduced = state if scattered or settled else missed(state.model, state)
         if bent and not (scattered or settled):
-            kept = confirmed(kept, found.tested, progress)
-        if len(kept.active) < len(state.active):
-            progress(_fitting(kept))
-            final = refit(start, kept, final)
-        state = kept
+            reduced = confirmed(reduced, result.tested, progress)
+        if len(reduced.active) < len(state.active):
+            progress(_words_of_refit(reduced))
+            final = refit(start, reduced, final)
+        state = reduced
     final = flagged_again(replace(start, limit=limits(start.train)), state, final)
     if len(every.train) > len(start.train):
         progress(f"fitting all {len(every.train)} rows")
-        final = _widened(replace(every, limit=limits(every.train)), state, final)
-    found = replace(found, state=state)
-    return Diagnosed(final, linearised_at, observed, found, tuple(named), tuple(barred), scattered or settled)
+        final = _fit_all_rows(replace(every, limit=limits(every.train)), state, final)
+    result = replace(result, state=state)
+    return Diagnosed(final, linearised_at, observed, result, tuple(named), tuple(barred_effects), scattered or settled)
 
 
-def _evidence(scatter: tuple[Effect, ...], used: np.ndarray, diagnosed: Diagnosed) -> float:
-    """Evidence for what was found, with the scatter of places where that is clear beside it, on some rows, [nat]."""
-    return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), used)
+def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: Diagnosed) -> float:
+    """Evidence for the effects of a search on some rows, [nat], the scatter of places with them where it is clear."""
+    return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
 def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
-    """The same with what is confounded with each effect: asked of the final model only. Its products are forgotten."""
+    """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
     state = diagnosed.found.state
     rivals = twins(state, diagnosed.named, progress)
     constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
     weighed = tied(state, constants, rivals)
     state.model.products.forget()
-    return replace(diagnosed, confounded=tuple(tuple(e for e, _ in own[1:]) for own in rivals), tied=weighed)
+    return replace(diagnosed, confounded=tuple(tuple(e for e, _ in effects[1:]) for effects in rivals), tied=weighed)
 
 
-def _fitting(state: State) -> str:
+def _words_of_refit(state: State) -> str:
     """Words for a refit."""
     count = len(state.active)
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(e.label for e in state.effects[:4])}"
 
 
-def _searched(setting: Setting, named: Sequence[Effect], step: Step, fresh: bool) -> Step:
+def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: bool) -> Step:
     """Search, refit on the exact model and search again about that, until the same effects are found."""
     progress = setting.progress
     small = is_small(step.found.state.model, named)
-    stuck = False
+    no_better = False
     for _ in range(ROUNDS if small else 1):
-        before, found = step.found.state, step.found
-        if not stuck:
-            found = search(before, named, exchange=fresh, progress=progress)
-        whole = fresh and small and set(found.state.effects) == set(before.effects)
+        before, result = step.found.state, step.found
+        if not no_better:
+            result = search(before, named, exchange=fresh, progress=progress)
+        whole = fresh and small and set(result.state.effects) == set(before.effects)
         if whole:
-            found = exchanged(found, named, progress)
-        state = with_scatter(found.state, setting.scatter) if has_scatter(found.state) else found.state
-        found = replace(found, state=state)
+            result = exchanged(result, named, progress)
+        state = with_scatter(result.state, setting.scatter) if has_scatter(result.state) else result.state
+        result = replace(result, state=state)
         settled = set(state.effects) == set(before.effects) and step.at is not setting.start.geometric
         if not small or not state.active or settled:
-            return replace(step, found=found)
-        progress(_fitting(state))
+            return replace(step, found=result)
+        progress(_words_of_refit(state))
         trial = refit(setting.start, state, step.at)
         if not set(before.effects) <= set(state.effects) and worth(trial, state) < worth(step.at, before):
-            # What looks better on the linear model is not so on the exact one: are whole other sets?
-            step, stuck = replace(step, found=replace(found, state=before)), True
+            # A set that is better on the linear model is not on the exact one: whole other sets may be.
+            step, no_better = replace(step, found=replace(result, state=before)), True
             if whole or not fresh:
                 return step
         else:
-            stuck = False
-            step = Step(trial, replace(found, state=setting.about(trial, state)), _shapes(state))
+            no_better = False
+            step = Step(trial, replace(result, state=setting.about(trial, state)), _shapes(state))
     return step
 
 
-def _thinned(every: Start) -> Start:
-    """Enough rows to search with."""
+def _fewer_rows(every: Start) -> Start:
+    """The start with :data:`SEARCHED` of its rows at the most."""
     geometric, train = every.geometric, every.train
     rows = rows_of_data(geometric.model, train)
     some = thin(rows, SEARCHED)
@@ -346,17 +351,17 @@ def _thinned(every: Start) -> Start:
     return replace(every, geometric=fewer, train=train.select(some), limit=every.limit[some])
 
 
-def _widened(every: Start, state: State, current: Fit) -> Fit:
-    """What was found on some of the rows, fitted to all of them."""
+def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
+    """Constants and effects from a search on some of the rows, fitted to all rows."""
     if not state.active:
         return every.geometric
-    asked = problem(current.model, every.train, every.progress)
-    used = ~flagged(asked.scaled_residual(current.theta), every.train.channels, every.limit)
-    return refit_constants(every, replace(state, used=used), current)
+    question = problem(current.model, every.train, every.progress)
+    in_use = ~flagged(question.scaled_residual(current.theta), every.train.channels, every.limit)
+    return refit_constants(every, replace(state, used=in_use), current)
 
 
-def _unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, fresh: bool) -> Found:
-    """Smooth functions of one covariate, and then of two, for what no kind of effect explains."""
+def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, fresh: bool) -> Found:
+    """Add smooth functions of one covariate, and then of two, to the effects that name a cause."""
     observed, progress, model = setting.observed, setting.progress, named.state.model
     more = search(named.state, unnamed, UNNAMED, exchange=fresh, progress=progress)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
@@ -377,7 +382,7 @@ def _shapes(state: State) -> tuple[Shaped, ...]:
 
 
 def _large_first(setting: Setting, named: Sequence[Effect], state: State) -> tuple[Fit, State]:
-    """Take effects so large that they bend the constants: rivals are compared on the exact model, not the linear one."""
+    """Add effects so large that they bend the constants, rivals being compared on the exact model, not the linear one."""
     at = setting.start.geometric
     for _ in range(MOST_LARGE):
         best = _best_rival(setting.start, named, at, state)
@@ -389,7 +394,7 @@ def _large_first(setting: Setting, named: Sequence[Effect], state: State) -> tup
 
 
 def _best_rival(start: Start, named: Sequence[Effect], at: Fit, state: State) -> tuple[Fit, State] | None:
-    """The large effect that explains most on the exact model, refitted with it; None if there is no large effect."""
+    """The exact model refitted with the large effect that explains most there; None if there is no large effect."""
     ranked = rank(state, named, progress=start.progress)
     top = ranked[0][1].gain if ranked else 0.0
     large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE, RIVAL_SHARE * top)]

@@ -1,10 +1,10 @@
-r"""How much columns explain beyond what chance would: the evidence for a candidate against a linearised model.
+r"""How much columns explain beyond chance: the evidence for a candidate against a linearised model.
 
 For d plain columns, with the noise profiled out, twice the gain in log-likelihood is
 
 .. math:: x = -n \log(1 - e / l)
 
-with e the sum of squares that they explain, l what is left of the residual, both in sigmas, and n the numbers measured.
+with e the sum of squares that they explain, l that of the residual without them, both in sigmas, and n the numbers measured.
 The evidence charges each column half of :math:`1 + \log x/d`: a normal prior as wide as the data ask for (an
 empirical-Bayes g-prior; George and Foster 2000, doi:10.1093/biomet/87.4.731). A smooth function is a Gaussian process
 sampled at knots: its evidence is the marginal likelihood, maximised over amplitude and correlation length (Rasmussen and
@@ -75,7 +75,7 @@ class Solution:
         sigma: Noise of each channel per axis, shape (C,).
         likelihood: Logarithm, up to a constant.
         inverse: (A'WA + prior)^-1, shape (K, K).
-        spent: Degrees of freedom that the coefficients spend of each channel, shape (C,).
+        spent: Degrees of freedom that the coefficients use up in each channel, shape (C,).
     """
 
     beta: np.ndarray
@@ -87,15 +87,15 @@ class Solution:
 
 @dataclass(frozen=True)
 class Score:
-    """What one candidate would add.
+    """Evidence for one candidate.
 
     Attributes:
-        gain: Logarithm of the evidence in its favour: what it explains less what its freedom costs, [nat].
-        p_value: Of its columns' contribution if nothing were there, before correction for the number of candidates.
-        freedom: Columns that say something new.
-        tau: For smooth functions: prior standard deviation [m] or [rad]; else 0.
-        kernel: For smooth functions: what they are like.
-        sigma: The noise that is left with it in the model, shape (C,); unknown at first.
+        gain: Logarithm of the evidence in its favour, the price of its freedom taken off, [nat].
+        p_value: Chance that noise alone gains as much, before correction for the number of candidates.
+        freedom: Columns that are not sums of the model's.
+        tau: Prior standard deviation of a smooth function, [m] or [rad]; else 0.
+        kernel: Kernel of a smooth function.
+        sigma: Noise of each channel with the candidate in the model, shape (C,); None in a rough score.
     """
 
     gain: float
@@ -112,14 +112,14 @@ class Amplitudes(NamedTuple):
     Attributes:
         variance: Of the prior, tau^2, shape (n,).
         twice: Logarithm of the likelihood ratio to nothing, times two, shape (n,).
-        freedom: Degrees of freedom that the samples spend then, shape (n,).
-        seen: False where the data say nothing of the samples, shape (n,).
+        freedom: Degrees of freedom that the samples use up then, shape (n,).
+        informed: False where the data say nothing of the samples, shape (n,).
     """
 
     variance: np.ndarray
     twice: np.ndarray
     freedom: np.ndarray
-    seen: np.ndarray
+    informed: np.ndarray
 
 
 NOTHING = Score(0.0, 1.0, 0)
@@ -154,14 +154,14 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
 def with_noise(
     equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray, beta: np.ndarray, spent: np.ndarray
 ) -> tuple[np.ndarray, float]:
-    """Noise, shape (C,), and log-likelihood, where the degrees of freedom that the coefficients spend are known.
+    """Noise, shape (C,), and log-likelihood, for known degrees of freedom of the coefficients.
 
     Args:
         equations: Of K coefficients.
         precision: Of their priors, shape (K, K).
         sigma: Noise to begin with, shape (C,).
         beta: The coefficients for that noise, shape (K,).
-        spent: Degrees of freedom that they spend of each channel, shape (C,).
+        spent: Degrees of freedom that they use up in each channel, shape (C,).
     """
     for k in range(NOISE_ROUNDS):
         beta = coefficients(equations, precision, sigma) if k else beta
@@ -173,7 +173,7 @@ def with_noise(
 
 
 def noise_left(equations: NormalEquations, squares: np.ndarray, spent: np.ndarray) -> np.ndarray:
-    """Noise of each channel, shape (C,), from the squares that are left and the degrees of freedom that were spent."""
+    """Noise of each channel, shape (C,), from the residual's squares and the degrees of freedom that were used up."""
     freedom = np.maximum(equations.count - spent, LEAST_FREEDOM * equations.count + 1e-9)
     return np.maximum(np.sqrt(squares / freedom), FLOOR)
 
@@ -187,7 +187,7 @@ def _likelihood(
 
 
 def scores(
-    M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float, shape: Shape | None = None
+    M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: float, shape: Shape | None = None
 ) -> list[Score]:
     """Evidence for k candidates of d columns each, one by one.
 
@@ -195,11 +195,11 @@ def scores(
         M: Their Gram matrices after projection off the model, in units of sigma, shape (k, d, d).
         s: Their products with the residual, shape (k, d).
         raw: Their squared lengths before projection, shape (k, d).
-        left: The residual's sum of squares, in units of sigma.
+        total: The residual's sum of squares, in units of sigma.
         count: Numbers measured.
-        shape: For samples of smooth functions: of what; else None.
+        shape: What the columns sample, for smooth functions; else None.
     """
-    return _smooth(M, s, raw, shape, ROUGH, left, count) if shape else _plain(M, s, raw, left, count)
+    return _smooth(M, s, raw, shape, ROUGH, total, count) if shape else _plain(M, s, raw, total, count)
 
 
 def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: np.ndarray) -> Score:
@@ -207,8 +207,8 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
     Args:
         total: Equations of the model's coefficients and, after them, of the samples of the function.
-        precision: Prior of the model's own coefficients.
-        shape: What those are samples of.
+        precision: Prior precision of the model's own coefficients.
+        shape: What the samples are of.
         sigma: Noise of each channel, shape (C,).
     """
     K = len(precision)
@@ -219,19 +219,19 @@ def shaped(total: NormalEquations, precision: np.ndarray, shape: Shape, sigma: n
 
 
 def price(twice: float, freedom: int) -> float:
-    """Evidence [nat] of columns that raise twice the log-likelihood by so much, less what their freedom costs."""
+    """Evidence [nat] of columns that raise twice the log-likelihood by ``twice``, the price of their freedom taken off."""
     return 0.5 * (twice - charge(twice, freedom))
 
 
 def charge(twice: float, freedom: int) -> float:
-    """What columns that raise twice the log-likelihood by so much are charged for their freedom, times two, [nat]."""
+    """Twice the price [nat] of the freedom of columns that raise twice the log-likelihood by ``twice``."""
     return freedom * (1.0 + float(np.log(max(twice / max(freedom, 1), 1.0))))
 
 
-def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: float) -> list[Score]:
-    """Evidence for columns that are no smooth functions; see :func:`scores`."""
+def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, total: float, count: float) -> list[Score]:
+    """Scores of columns that are no samples of smooth functions; see :func:`scores`."""
     squares, freedoms = explained(M, s, raw)
-    twice = profiled(squares, left, count)
+    twice = profiled(squares, total, count)
     return [
         Score(price(gain, freedom), tail(gain, freedom), freedom) if freedom else NOTHING
         for gain, freedom in zip(twice.tolist(), freedoms.tolist(), strict=True)
@@ -239,7 +239,7 @@ def _plain(M: np.ndarray, s: np.ndarray, raw: np.ndarray, left: float, count: fl
 
 
 def explained(M: np.ndarray, s: np.ndarray, raw: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that columns explain, shape (k,), and how many of these say something new, (k,); see :func:`scores`."""
+    """Squares that columns explain, shape (k,), and how many columns are not sums of the model's, (k,); see :func:`scores`."""
     scale = 1.0 / np.sqrt(np.maximum(raw, TINY))
     values, vectors = np.linalg.eigh(M * scale[:, :, None] * scale[:, None, :])
     new = values > DEPENDENT
@@ -254,12 +254,12 @@ def _smooth(
     raw: np.ndarray,
     shape: Shape,
     kernels: tuple[Kernel, ...],
-    left: float = np.inf,
+    total: float = np.inf,
     count: float = 0.0,
 ) -> list[Score]:
-    """Evidence of the best kernel and amplitude; the noise is profiled if what is left of the residual is given.
+    """Scores with the best of the kernels and of the amplitudes :data:`TAUS`; the noise is profiled if ``total`` is finite.
 
-    Of all kernels and :data:`TAUS`; see :func:`likeliest`.
+    See :func:`likeliest`.
     """
     kernels = kernels_that_matter(shape, kernels)
     parts = []
@@ -269,11 +269,11 @@ def _smooth(
         A, b = np.swapaxes(roots, 2, 3) @ M @ roots, s @ roots[:, 0]
         mean_square = np.sum(roots[:, 0] ** 2, axis=2) @ raw.T / s.shape[1]
         parts.append(likeliest(A.reshape(-1, *M.shape[1:]), b.reshape(-1, s.shape[1]),
-                               DEPENDENT * mean_square.ravel(), left, count, left < np.inf))  # fmt: skip
-    variance, twice, freedom, seen = (
+                               DEPENDENT * mean_square.ravel(), total, count, total < np.inf))  # fmt: skip
+    variance, twice, freedom, informed = (
         np.concatenate(each).reshape(len(kernels), -1) for each in zip(*parts, strict=True)
     )
-    best = np.argmax(np.where(seen, twice, -np.inf), axis=0)
+    best = np.argmax(np.where(informed, twice, -np.inf), axis=0)
     return [
         Score(
             0.5 * float(twice[at, k]) - SMOOTH_PRICE,
@@ -282,46 +282,46 @@ def _smooth(
             float(np.sqrt(variance[at, k])),
             kernels[at],
         )
-        if seen[at, k]
+        if informed[at, k]
         else NOTHING
         for k, at in enumerate(best.tolist())
     ]
 
 
 def likeliest(
-    A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float, roughly: bool = False
+    A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, count: float, roughly: bool = False
 ) -> Amplitudes:
     r"""The likeliest of the amplitudes of :data:`TAUS`.
 
     .. math:: 2 \log L(\tau) = \tau^2 b^T (I + \tau^2 A)^{-1} b - \log |I + \tau^2 A|
 
-    with the first term, what is explained, profiled as for plain columns where the noise is not known.
+    with the first term, the squares explained, profiled as for plain columns where the noise is not known.
 
     Args:
         A: Information of the samples, times the root of their prior on both sides, in units of sigma, shape (n, d, d).
         b: Their pulls likewise, shape (n, d).
         least: Information of a mode below which its pull is rounding, shape (n,).
-        left: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
+        total: The residual's sum of squares, in units of sigma, of which the noise is profiled; infinite where it is known.
         count: Numbers measured.
-        roughly: Take amplitudes in units of all modes together, which need not be found one by one.
+        roughly: Take amplitudes in units of the trace of A, which needs no eigenvalues.
     """
-    likely = _by_chain(A, b, left, count, roughly)
+    likely = _by_chain(A, b, total, count, roughly)
     doubted = likely.variance * least > HIDDEN
     if doubted.any():
-        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], left, count), strict=True):
+        for values, sure in zip(likely, _by_modes(A[doubted], b[doubted], least[doubted], total, count), strict=True):
             values[doubted] = sure
     return likely
 
 
-def profiled(squares: np.ndarray, left: float, count: float) -> np.ndarray:
-    """Twice the gain in log-likelihood of what columns explain, the noise found anew where what is left is given."""
-    if left == np.inf:
+def profiled(squares: np.ndarray, total: float, count: float) -> np.ndarray:
+    """Twice the gain in log-likelihood from squares explained; the noise is estimated with them where ``total`` is finite."""
+    if total == np.inf:
         return squares
-    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(left, TINY)) / max(left, TINY)))
+    return np.asarray(-count * np.log1p(-np.minimum(squares, WHOLE * max(total, TINY)) / max(total, TINY)))
 
 
-def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: bool) -> Amplitudes:
-    r"""All modes, without eigenvectors, which would take most of the time of a search.
+def _by_chain(A: np.ndarray, b: np.ndarray, total: float, count: float, roughly: bool) -> Amplitudes:
+    r"""The likeliest amplitudes without eigenvectors, which would take most of the time of a search.
 
     Reflections make A tridiagonal and b one number (Golub and Van Loan, Matrix Computations, 4th ed., section 8.3.1). With
     :math:`v = \tau^{-2}`, diagonal :math:`\alpha_j`, :math:`\beta_j` beside it, :math:`\beta_0 = |b|`, from the last row up,
@@ -334,37 +334,37 @@ def _by_chain(A: np.ndarray, b: np.ndarray, left: float, count: float, roughly: 
     largest = _largest(scale)
     diagonal, square = diagonal / largest, square / largest**2
     faint = 1.0 / TAUS
-    F = np.maximum(faint + diagonal[:, -1:], faint)  # as it is but for rounding
+    F = np.maximum(faint + diagonal[:, -1:], faint)  # the bound holds but for rounding
     product = F.copy()
     volume = np.full(F.shape, d * np.log(TAUS))
-    taken = np.empty_like(F)
+    ratio_above = np.empty_like(F)
     for j in range(d - 2, -1, -1):
-        np.divide(square[:, j + 1, None], F, out=taken)
+        np.divide(square[:, j + 1, None], F, out=ratio_above)
         np.add(faint, diagonal[:, j, None], out=F)
-        F -= taken
+        F -= ratio_above
         np.maximum(F, faint, out=F)
         product *= F
         if (d - j) % FACTORS == 0:
             volume += np.log(product)
             product[:] = 1.0
     volume += np.log(product)
-    # In units of the largest mode b has lost its square, explained squares one of them.
-    twice = profiled(square[:, :1] * largest / F, left, count) - volume
+    # In units of the largest mode b's square is divided by its square, explained squares by the mode itself.
+    twice = profiled(square[:, :1] * largest / F, total, count) - volume
     top = np.argmax(twice, axis=1)
     v = 1.0 / TAUS[top]
     F = np.maximum(v + diagonal[:, -1], v)
-    own = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
-    free = own.copy()
+    slope = v / F  # d log F / d log v, 1 at the most: F - v is concave in v, and not negative at 0
+    free = slope.copy()
     for j in range(d - 2, -1, -1):
         ratio = square[:, j + 1] / F
         F = np.maximum(v + diagonal[:, j] - ratio, v)
-        own = np.minimum((v + ratio * own) / F, 1.0)
-        free += own
+        slope = np.minimum((v + ratio * slope) / F, 1.0)
+        free += slope
     return Amplitudes(TAUS[top] / largest[:, 0], twice[np.arange(len(top)), top], d - free, scale > TINY**0.5)
 
 
-def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, count: float) -> Amplitudes:
-    """In the eigenbasis, without the pulls of modes that are rounding."""
+def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, total: float, count: float) -> Amplitudes:
+    """The likeliest amplitudes in the eigenbasis, without the pulls of modes that are rounding."""
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 0.0)
     largest = _largest(values[:, -1])
@@ -372,19 +372,21 @@ def _by_modes(A: np.ndarray, b: np.ndarray, least: np.ndarray, left: float, coun
     variances = TAUS / largest
     shrunk = 1.0 + variances[:, :, None] * values[:, None]
     fitted = variances * np.einsum("ktj,kj->kt", 1.0 / shrunk, squares)
-    twice = profiled(fitted, left, count) - np.sum(np.log(shrunk), axis=2)
+    twice = profiled(fitted, total, count) - np.sum(np.log(shrunk), axis=2)
     top = np.argmax(twice, axis=1)
-    own = np.arange(len(top)), top
-    return Amplitudes(variances[own], twice[own], np.sum(1.0 - 1.0 / shrunk[own], axis=1), values[:, -1] > TINY**0.5)
+    at_top = np.arange(len(top)), top
+    return Amplitudes(
+        variances[at_top], twice[at_top], np.sum(1.0 - 1.0 / shrunk[at_top], axis=1), values[:, -1] > TINY**0.5
+    )
 
 
 def _largest(scale: np.ndarray) -> np.ndarray:
-    """What amplitudes are in units of, shape (n, 1); 1 where nothing is seen."""
+    """Units of the amplitudes, shape (n, 1); 1 where the data say nothing."""
     return np.where(scale > TINY**0.5, scale, 1.0)[:, None]
 
 
 def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diagonals of the tridiagonal forms and squares of what is beside them, the pull's first, (n, d) each; the scale, (n,)."""
+    """Diagonals of the tridiagonal forms and squares of the off-diagonals, the pull's first, (n, d) each; the scale, (n,)."""
     n, d = b.shape
     bordered = np.zeros((n, d + 1, d + 1))
     bordered[:, 1:, 1:] = A
@@ -394,12 +396,12 @@ def _chains(A: np.ndarray, b: np.ndarray, roughly: bool) -> tuple[np.ndarray, np
         _, diagonal[k], beside[k], _, _ = dsytrd(matrix.T, lower=1, overwrite_a=1)
         if not roughly and d > 1:
             best[k] = dsterf(diagonal[k, 1:], beside[k, 1:])[0][-1]
-    # No eigenvalue is smaller than every number on the diagonal, but where rounding has it so.
+    # The largest eigenvalue is no smaller than any number on the diagonal, but for rounding.
     return diagonal[:, 1:], beside**2, np.maximum(best, diagonal[:, 1:].max(axis=1))
 
 
 def smooth_tail(twice: float) -> float:
-    """Chance that noise raises twice the log-likelihood of a smooth function by so much, at the most.
+    """Upper bound of the chance that noise raises twice the log-likelihood of a smooth function by ``twice``.
 
     A variance that may only be positive: half the cases give nothing, the rest at most chi-square with 2 degrees.
     """
@@ -407,5 +409,5 @@ def smooth_tail(twice: float) -> float:
 
 
 def tail(twice: float, freedom: int) -> float:
-    """Chance that chi-square with so many degrees of freedom exceeds a value."""
+    """Chance that chi-square with ``freedom`` degrees of freedom exceeds ``twice``."""
     return float(gammaincc(0.5 * freedom, 0.5 * max(twice, 0.0)))

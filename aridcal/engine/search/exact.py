@@ -1,4 +1,4 @@
-"""The exact model: constants and effects fitted together, and linearised for the search where that ended."""
+"""The exact model: constants and effects fitted together, and linearised at the fit for the search."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Start:
         geometric: The geometric stage.
         train: The rows that it was fitted to.
         limit: Sigmas beyond which each of them is flagged, shape (N,).
-        progress: Told how far each pass over the rows is.
+        progress: Called with the rows done in each pass over them.
     """
 
     geometric: Fit
@@ -64,15 +64,15 @@ def refit(start: Start, state: State, current: Fit) -> Fit:
 
     Constants that the geometric stage could not identify, its residual being large, are taken in when they can be now.
     """
-    solved = _as_solved(start, current, state)
+    solved = _solved_values(start, current, state)
     state = replace(state, active=tuple(a for a in state.active if not is_scatter(a.effect)))
     refitted = refit_constants(start, state, current, solved=solved)
-    more = _regained(start, refitted)
+    more = _constants_regained(start, refitted)
     return refit_constants(start, state, refitted, more) if more else refitted
 
 
-def _as_solved(start: Start, current: Fit, state: State) -> dict[str, float]:
-    """Values of the coefficients as the linearised model has them, by name; nothing where its constants are others."""
+def _solved_values(start: Start, current: Fit, state: State) -> dict[str, float]:
+    """Values of the coefficients in the linearised model, by name; empty where its constants are others."""
     constants = _constants(current)
     if state.model.A.shape[2] != len(constants):
         return {}
@@ -105,21 +105,21 @@ def refit_constants(
     geometric = start.geometric
     effects = tuple(c for a in state.active for c in a.effect.coefficients)
     model = geometric.model.with_coefficients(constants + effects)
-    known = dict(zip(current.model.names, current.theta.tolist(), strict=True)) | dict(solved)
-    theta = np.array([known.get(name, 0.0) for name in model.names])
-    asked = problem(model, start.train, start.progress)
+    values = dict(zip(current.model.names, current.theta.tolist(), strict=True)) | dict(solved)
+    theta = np.array([values.get(name, 0.0) for name in model.names])
+    question = problem(model, start.train, start.progress)
     weight = np.where(state.used, 1.0, 0.0)
-    found = fit(asked, theta, weight, _prior(geometric, constants, state))
+    refitted = fit(question, theta, weight, _prior(geometric, constants, state))
     redundant = {name: why for name, why in geometric.redundant.items() if name not in model.names}
-    return replace(found, candidates=geometric.candidates, redundant=redundant)
+    return replace(refitted, candidates=geometric.candidates, redundant=redundant)
 
 
 def flagged_again(start: Start, state: State, current: Fit) -> Fit:
-    """The fit with the rows flagged that it leaves far off; the same fit if those are the ones it was made without."""
-    used = ~flagged(current.residual, start.train.channels, start.limit)
-    if np.array_equal(used, ~current.outliers) or not state.active:
+    """The fit with rows flagged by its own residuals; the same fit if it was made with these flags."""
+    in_use = ~flagged(current.residual, start.train.channels, start.limit)
+    if np.array_equal(in_use, ~current.outliers) or not state.active:
         return current
-    return refit_constants(start, replace(state, used=used), current)
+    return refit_constants(start, replace(state, used=in_use), current)
 
 
 def worth(fit: Fit, state: State) -> float:
@@ -142,44 +142,44 @@ def _prior(geometric: Fit, constants: tuple[Coefficient, ...], state: State) -> 
     parts = [_gauge(geometric, constants), *(a.coefficient_precision for a in state.active)]
     precision = block_diag(*parts)
     mean = np.zeros(len(precision))
-    # Of few rows these are near zero, not near the geometric stage.
-    believed = _believed(geometric, constants).any(axis=1)
+    # Constants with a prior, where rows are few, are near zero, not near the geometric stage.
+    believed = _believed_precision(geometric, constants).any(axis=1)
     mean[:count] = np.where(believed, 0.0, [before.get(c.name, 0.0) for c in constants])
     return Prior(mean, precision, (np.eye(count), *(a.root for a in state.active)))
 
 
 def _gauge(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
     """Precision with which constants are held at the geometric stage, shape (count, count)."""
-    believed = _believed(geometric, constants)
+    believed = _believed_precision(geometric, constants)
     loose = (GAUGE * geometric.model.with_coefficients(constants).sizes) ** -2.0
     return believed + np.diag(np.where(believed.any(axis=1), 0.0, loose))
 
 
-def _believed(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
-    """Precision with which the geometric stage believed constants to be zero, (count, count); zero where nothing is believed."""
+def _believed_precision(geometric: Fit, constants: tuple[Coefficient, ...]) -> np.ndarray:
+    """Prior precision of the geometric stage's constants about zero, shape (count, count); zero without a prior."""
     number = {name: k for k, name in enumerate(geometric.model.names)}
     there = [k for k, c in enumerate(constants) if c.name in number]
-    own = [number[constants[k].name] for k in there]
+    indices = [number[constants[k].name] for k in there]
     precision = np.zeros((len(constants), len(constants)))
-    precision[np.ix_(there, there)] = geometric.believed[np.ix_(own, own)]
+    precision[np.ix_(there, there)] = geometric.believed[np.ix_(indices, indices)]
     return precision
 
 
-def _regained(start: Start, found: Fit) -> tuple[Coefficient, ...]:
-    """Constants that were given up in the geometric stage and are identifiable now."""
-    dropped = tuple(c for c in found.candidates if c.name in found.redundant)
-    if not dropped or start.geometric.believed.any():  # what few rows do not tell is there already
+def _constants_regained(start: Start, refitted: Fit) -> tuple[Coefficient, ...]:
+    """Constants that the geometric stage dropped and that are identifiable beside the effects."""
+    dropped = tuple(c for c in refitted.candidates if c.name in refitted.redundant)
+    if not dropped or start.geometric.believed.any():  # with a prior all constants are in the fit already
         return ()
-    model = found.model.with_coefficients(found.model.coefficients + dropped)
-    theta = np.concatenate([found.theta, np.zeros(len(dropped))])
-    asked = problem(model, start.train, start.progress)
+    model = refitted.model.with_coefficients(refitted.model.coefficients + dropped)
+    theta = np.concatenate([refitted.theta, np.zeros(len(dropped))])
+    question = problem(model, start.train, start.progress)
     constant = np.flatnonzero([c.basis.constant for c in model.coefficients])
-    R = triangle(asked, theta, found.weight, found.sigma, constant) * model.sizes[constant]
+    R = triangle(question, theta, refitted.weight, refitted.sigma, constant) * model.sizes[constant]
     if not apart(R, len(constant) - len(dropped)).any():  # sums of the other constants, whatever the effects are
         return ()
-    R = triangle(asked, theta, found.weight, found.sigma) * model.sizes
-    kept = identifiable(R, range(len(theta))).kept
-    return tuple(c for k, c in enumerate(model.coefficients) if k >= len(found.theta) and k in kept)
+    R = triangle(question, theta, refitted.weight, refitted.sigma) * model.sizes
+    identifiable_now = identifiable(R, range(len(theta))).kept
+    return tuple(c for k, c in enumerate(model.coefficients) if k >= len(refitted.theta) and k in identifiable_now)
 
 
 def linear_model(
@@ -189,42 +189,42 @@ def linear_model(
 
     Args:
         start: The geometric stage, about which the constants are gauged, and the rows.
-        current: The model as it is.
-        active: Effects that are in it. If the scatter of places is among them, rows of a place are held back together;
-            else those of a configuration: where rows of a place err independently, each tells of the others' place.
-        library: Effects that may be added.
+        current: The model, fitted.
+        active: Its effects. With the scatter of places among them, rows of a place are held back together; else rows of a
+            configuration, as each row of a place then tells about the others'.
+        library: Candidates.
         observed: Covariates of the rows.
     """
     effects = list(dict.fromkeys([*library, *(a.effect for a in active)]))
     slots = tuple(dict.fromkeys(slot for e in effects for slot in e.slots))
-    # Most are shared, and slow to be compared.
+    # Most bases are shared objects, and slow to be compared.
     own_bases = {id(c.basis): c.basis for e in effects for c in e.coefficients}
     bases = tuple(dict.fromkeys(own_bases.values()))
-    own = current.model.coefficients
+    coefficients = current.model.coefficients
     model = current.model.with_motions(slots)
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
-    asked = problem(model, start.train).agreeing(theta)
-    r, J = asked.linearised(theta)
-    off = taking_off(asked, theta, current.weight, current.sigma)
-    constant = np.flatnonzero([c.basis.constant for c in own])
-    A = J[:, :, : len(own)]
+    question = problem(model, start.train).agreeing(theta)
+    r, J = question.linearised(theta)
+    off = taking_off(question, theta, current.weight, current.sigma)
+    constant = np.flatnonzero([c.basis.constant for c in coefficients])
+    A = J[:, :, : len(coefficients)]
     if off is not None:
         r, A = off(r[:, :, None])[:, :, 0], off(A)
-    # The residual as it was at the geometric stage, to first order: what is solved for are distances from there.
-    known = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
-    geometric = np.array([known.get(name, 0.0) for name in current.model.names])
+    # The residual at the geometric stage, to first order: the unknowns are differences from there.
+    values_of_geometric = dict(zip(start.geometric.model.names, start.geometric.theta, strict=True))
+    geometric = np.array([values_of_geometric.get(name, 0.0) for name in current.model.names])
     r = r + A @ (current.theta - geometric)
     if start.train.repeats.share != 1.0:
         r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
-    table = _table(start, asked, observed)
+    table = _table(start, question, observed)
     together = (held_together if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
     run, fold = _folds(start.train, together)
     of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(
         channels=start.train.channels,
         A=np.ascontiguousarray(A[:, :, constant]),
-        gauge=_gauge(start.geometric, tuple(own[k] for k in constant)),
-        G=np.ascontiguousarray(J[:, :, len(own) :]),
+        gauge=_gauge(start.geometric, tuple(coefficients[k] for k in constant)),
+        G=np.ascontiguousarray(J[:, :, len(coefficients) :]),
         slots=slots,
         phi=np.asfortranarray(evaluated(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
         bases=bases,
@@ -233,45 +233,45 @@ def linear_model(
         run=run,
         fold=fold,
         configuration=together,
-        thing=_places(asked),
+        thing=_places(question),
         off=off,
         present=start.train.measures,
-        taken=asked.taken(current.weight),
+        taken_up=question.taken(current.weight),
         share=start.train.repeats.share,
-        own=observed.robot.names,
+        joints=observed.robot.names,
         table=table,
     )
 
 
 def few_places(model: Model, train: Dataset) -> bool:
-    """True where rows measure places that are unknown, too few of them to hold any back."""
-    asked = problem(model, train)
-    return asked.groups is not None and bool((asked.groups.row >= 0).all()) and _places(asked) is None
+    """True where rows measure unknown places, too few to hold one back."""
+    question = problem(model, train)
+    return question.groups is not None and bool((question.groups.row >= 0).all()) and _places(question) is None
 
 
-def _places(asked: Problem) -> np.ndarray | None:
+def _places(question: Problem) -> np.ndarray | None:
     """Number of the group of things that each row measures, shape (N,); None where there are too few groups."""
-    if asked.groups is None or (asked.groups.row < 0).any():
+    if question.groups is None or (question.groups.row < 0).any():
         return None
-    different, number = np.unique(asked.groups.row, return_inverse=True)
+    different, number = np.unique(question.groups.row, return_inverse=True)
     return np.asarray(number) if len(different) >= FEWEST_PLACES else None
 
 
-def _table(start: Start, asked: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
-    """What bases depend on, shape (N,) each, where the rows are differentiated: as read, or where they agree with the model.
+def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
+    """Covariates of bases, shape (N,) each, at the readings of the derivatives: as read, or agreeing with the model.
 
-    A motion that turns back with a joint's angle is no motion at all; asked at one angle and undone at another, it would be one
-    of the size of what the readings were moved by, which is the noise of the very row.
+    A motion that a turn of a joint undoes moves nothing; with its basis at one angle and its column at another it would seem to
+    move the target by the difference of the angles, which is the noise of that very row.
     """
-    seen = asked.measured
-    if seen.wide is None or seen.agreed is None:
+    predictions = question.measured
+    if predictions.wide is None or predictions.agreed is None:
         return observed.table
-    agreed = replace(start.train, readings=readings_at(seen, start.train, seen.agreed.positions))
-    return look(start.geometric.model, agreed)[0].table
+    rows_agreeing = replace(start.train, readings=readings_at(predictions, start.train, predictions.agreed.positions))
+    return look(start.geometric.model, rows_agreeing)[0].table
 
 
 def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stretches of time, and folds of what is held back together, one number each for every row, shape (N,)."""
+    """Stretch of time and fold of each row, shape (N,) each; rows of one number in ``together`` have one fold."""
     n = len(train)
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n

@@ -48,11 +48,11 @@ class Local:
         return Local(values, numbers, self.count * other.count)
 
     def at(self, rows: np.ndarray) -> Local:
-        """Those of some rows."""
+        """The functions at some rows."""
         return Local(self.values[rows], self.numbers[rows], self.count)
 
     def part(self, low: int, high: int) -> Local:
-        """Those of some rows on end; they are kept."""
+        """The functions at rows ``low`` to ``high``; they are kept."""
         if (low, high) not in self._parts:
             self._parts[low, high] = Local(self.values[low:high], self.numbers[low:high], self.count)
         return self._parts[low, high]
@@ -89,18 +89,18 @@ class Grid:
     Attributes:
         slots: Columns of the slots, (n, size, E) for each channel, in the rows in which one of them is not zero.
         functions: The functions in those rows.
-        rows: Which those n of all N rows are; None if they are all.
+        rows: Numbers of these n rows among all N; None if they are all.
     """
 
     slots: tuple[np.ndarray, ...]
     functions: Local
     rows: np.ndarray | None = None
 
-    def own(self) -> np.ndarray:
+    def gram(self) -> np.ndarray:
         """Products of the columns of each slot with one another, shape (C, E, d, d)."""
-        made = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
+        products = self._summed(self.functions.times(self.functions), [np.sum(g**2, axis=1) for g in self.slots])
         d = self.functions.count
-        return np.ascontiguousarray(made.reshape(*made.shape[:2], d, d))
+        return np.ascontiguousarray(products.reshape(*products.shape[:2], d, d))
 
     def pull(self, right: Sequence[np.ndarray]) -> np.ndarray:
         """Products with right-hand sides of shape (N size,), one for each channel, shape (C, w)."""
@@ -111,14 +111,14 @@ class Grid:
 
     def across(self, columns: Sequence[np.ndarray]) -> np.ndarray:
         """Products with any columns, (N size, d') for each channel, shape (C, w, d')."""
-        made = []
+        per_channel = []
         for g, y in zip(self.slots, columns, strict=True):
             rows, _, count = g.shape
             products = g.transpose(0, 2, 1) @ self._here(y, g)
             summed = self.functions.sums(products.reshape(rows, count * products.shape[2]))
             summed = summed.reshape(self.functions.count, count, -1)
-            made.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
-        return np.array(made)
+            per_channel.append(summed.transpose(1, 0, 2).reshape(count * self.functions.count, -1))
+        return np.array(per_channel)
 
     def across_grid(self, other: Grid) -> np.ndarray:
         """Products with the columns of one slot times d' other functions, shape (C, w, d')."""
@@ -128,11 +128,11 @@ class Grid:
         return together.reshape(len(self.slots), -1, two.functions.count)
 
     def among(self, rows: np.ndarray) -> Grid:
-        """That of some rows, which it has alone from then on."""
-        return replace(self, rows=None) if rows is self.rows else _taken(self, rows, None)
+        """The grid of some rows, as if there were no others."""
+        return replace(self, rows=None) if rows is self.rows else _rows_of_grid(self, rows, None)
 
     def part(self, low: int, high: int) -> Grid:
-        """That of some rows on end."""
+        """The grid of rows ``low`` to ``high``."""
         if self.rows is None:
             return Grid(tuple(g[low:high] for g in self.slots), self.functions.part(low, high))
         first, last = np.searchsorted(self.rows, (low, high)).tolist()
@@ -140,7 +140,7 @@ class Grid:
         return Grid(slots, self.functions.part(first, last), self.rows[first:last] - low)
 
     def _here(self, values: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """Numbers of all N rows, shape (N size, ...), in those of the grid, shape (n, size, k)."""
+        """Numbers of all N rows, shape (N size, ...), cut to the grid's rows, shape (n, size, k)."""
         by_row = values.reshape(len(values) // slots.shape[1], slots.shape[1], -1)
         return by_row if self.rows is None else by_row[self.rows]
 
@@ -157,23 +157,23 @@ def moved_rows(slots: tuple[np.ndarray, ...]) -> np.ndarray | None:
 
 
 def moving(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
-    """Slots in the rows that they move, and which those are: rows of paths on which none of the slots is count for nothing."""
+    """Slots cut to the rows that they move, and the numbers of these rows: on other paths their columns are zero."""
     rows = moved_rows(slots)
     return (slots if rows is None else tuple(g[rows] for g in slots)), rows
 
 
 def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: Local) -> Grid:
-    """A grid of what :func:`moving` gives and of functions in all N rows."""
+    """The grid of slots cut by :func:`moving` and of functions in all N rows."""
     return Grid(slots, functions if rows is None else functions.at(rows), rows)
 
 
-def _taken(whole: Grid, some: np.ndarray, rows: np.ndarray | None) -> Grid:
-    """Some of the rows of a grid, by their places in it, and which of all rows those are."""
+def _rows_of_grid(whole: Grid, some: np.ndarray, rows: np.ndarray | None) -> Grid:
+    """The grid of some rows, given by their places in it and by their numbers among all."""
     return Grid(tuple(g[some] for g in whole.slots), whole.functions.at(some), rows)
 
 
 def _common(one: Grid, other: Grid) -> tuple[Grid, Grid]:
-    """Two grids in the rows that both have."""
+    """Two grids cut to the rows that both have."""
     rows = [np.arange(len(g.functions.values)) if g.rows is None else g.rows for g in (one, other)]
     both, first, second = np.intersect1d(rows[0], rows[1], assume_unique=True, return_indices=True)
-    return _taken(one, first, both), _taken(other, second, both)
+    return _rows_of_grid(one, first, both), _rows_of_grid(other, second, both)

@@ -1,4 +1,4 @@
-"""Effects that held-back rows do not miss leave the model."""
+"""Effects without which held-back rows are predicted as well leave the model."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ SURE_GAIN = 3.0
 
 
 def missed(model: LinearModel, state: State) -> State:
-    """The model without the effects that held-back rows do not miss; what the campaign states stays.
+    """The model without effects that do not improve held-back rows; declared effects stay.
 
-    The effects are taken out one at a time, the least missed first, and all others are solved anew. The model is linear
-    about its own optimum, where effects that are nearly not missed change nothing to the second order.
+    Effects are taken out one at a time, that of the least gain first, and all others are solved anew. The model is linear
+    about its own optimum, where effects of little gain change nothing to the second order.
 
     Args:
         model: Linearised at the exact fit.
         state: Solved with all effects.
     """
-    asked = {a.effect for a in state.active if not a.stated}
-    while asked:
-        gains = _held_back_gains(model, state, asked)
+    candidates = {a.effect for a in state.active if not a.declared}
+    while candidates:
+        gains = _held_back_gains(model, state, candidates)
         worst = min(gains, key=lambda effect: gains[effect])
         if gains[worst] > 0.0:
             break
         rest = [a for a in state.active if a.effect != worst]
         state = solve_state(model, rest, state.solution.sigma, state.used)
-        # What is missed for sure is not asked again: the others stand in for what went, if anything.
-        asked = {effect for effect, gain in gains.items() if gain < SURE_GAIN} - {worst}
+        # Effects of a sure gain are not tried again: it grows, if anything, when another effect leaves.
+        candidates = {effect for effect, gain in gains.items() if gain < SURE_GAIN} - {worst}
     return state
 
 
-def _judging(model: LinearModel, effect: Effect) -> list[int]:
-    """Channels that judge an effect: all; of what is local, which has few rows to speak for it, those that it moves."""
+def _judging_channels(model: LinearModel, effect: Effect) -> list[int]:
+    """Numbers of the channels that judge an effect: all; of a local one, which moves few rows, those that it moves."""
     every = list(range(len(model.channels)))
     if not is_local(effect):
         return every
@@ -52,8 +52,8 @@ def _judging(model: LinearModel, effect: Effect) -> list[int]:
     return [k for k, part in enumerate(columns(model.channels)) if moved[part].any()]
 
 
-def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]) -> dict[Effect, float]:
-    """By how many standard errors effects lower the squared error of held-back rows; negative where one is not missed."""
+def _held_back_gains(model: LinearModel, state: State, effects: Collection[Effect]) -> dict[Effect, float]:
+    """Gain of effects: how much they lower the squared error of held-back rows, in standard errors."""
     number = np.random.default_rng(1).permutation(int(model.configuration.max()) + 1)
     configuration = model.configuration[state.used]
     block = number[configuration] % BLOCKS
@@ -61,18 +61,18 @@ def _held_back_gains(model: LinearModel, state: State, asked: Collection[Effect]
     everything = np.ones(len(state.precision), dtype=bool)
     without = {}
     for a, low, high in zip(state.active, ends[:-1], ends[1:], strict=True):
-        if a.effect in asked:
+        if a.effect in effects:
             without[a.effect] = everything.copy()
             without[a.effect][low:high] = False
-    kept = [everything, *without.values()]
+    masks = [everything, *without.values()]
     solved = state.equations, state.precision, state.solution.sigma
-    whole, *squares = held_back_squares(state, state.design, *solved, block, kept)
+    whole, *squares = held_back_squares(state, state.design, *solved, block, masks)
     gains = {}
-    for effect, left in zip(without, squares, strict=True):
-        gain = left - whole
+    for effect, squares_without in zip(without, squares, strict=True):
+        gain = squares_without - whole
         each = np.bincount(configuration, gain.sum(axis=0))
         error = float(np.sqrt(np.sum(each**2)))
         total = float(each.sum()) / error if error > 0.0 else 0.0
-        worse = float(gain.sum(axis=1)[_judging(model, effect)].min())
+        worse = float(gain.sum(axis=1)[_judging_channels(model, effect)].min())
         gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
     return gains

@@ -40,14 +40,14 @@ class LinearModel:
         run: Number of the row's stretch of time, shape (N,).
         fold: Number of the row's fold for cross-validation, shape (N,).
         configuration: Number of the row's configuration, shape (N,).
-        thing: Number of what each row measures, shape (N,): of a place that was measured again and again; None where rows
-            measure the target itself, or too few things to leave any out.
-        off: Takes off columns what unknown things take up; None where there are none. It is done with r and A; columns of
-            G are multiplied with their bases first.
+        thing: Number of the thing or place that each row measures, shape (N,); None where rows measure the target itself, or
+            too few things to leave any out.
+        off: Takes the part of unknown things off columns; None where there are none. r and A are without that part already;
+            columns of G are multiplied with their bases first.
         present: Which channels each row measures, shape (N, C) bool; residual and columns are 0 in the others.
-        taken: Numbers of each channel that unknown things take up, shape (C,): residual and columns are what those leave.
-        share: Of a measurement that each row counts for; its residual and columns are scaled by the square root of that.
-        own: Names of the joints: covariates that are under the user's control.
+        taken_up: Numbers of each channel that unknown things take up, shape (C,).
+        share: Share of an independent measurement that each row counts for; residual and columns are scaled by its root.
+        joints: Names of the joints: covariates that are under the user's control.
         table: Covariates of the rows, shape (N,) each.
     """
 
@@ -66,9 +66,9 @@ class LinearModel:
     thing: np.ndarray | None
     off: Projector | None
     present: np.ndarray
-    taken: np.ndarray
+    taken_up: np.ndarray
     share: float
-    own: tuple[str, ...]
+    joints: tuple[str, ...]
     table: Mapping[str, np.ndarray]
 
     @cached_property
@@ -83,7 +83,7 @@ class LinearModel:
 
     @cached_property
     def products(self) -> Products:
-        """Sums of products of its columns, each made when it is first asked for."""
+        """Sums of products of its columns, each computed at its first use."""
         return Products(self.A, self.r, self._layout, self._source)
 
     @cached_property
@@ -94,7 +94,7 @@ class LinearModel:
     def _in_folds(self) -> tuple[np.ndarray, ...]:
         """Columns of the slots in the order of the folds, (S, N, size) for each channel."""
         ordered = self.G[self._layout.order].transpose(2, 0, 1)
-        return tuple(np.ascontiguousarray(ordered[:, :, own]) for own in columns(self.channels))
+        return tuple(np.ascontiguousarray(ordered[:, :, part]) for part in columns(self.channels))
 
     @property
     def _source(self) -> Source:
@@ -106,7 +106,7 @@ class LinearModel:
         return self.phi.T[np.array(bases, dtype=int)[:, None], order if places is None else order[places]]
 
     def _apart(self, effect: Effect) -> tuple[tuple[int, ...], tuple[int, ...]] | None:
-        """Slots, each once, and bases of an effect; None where unknown things take up a part of their products."""
+        """Slots, each once, and bases of an effect; None where its columns are not the plain products of these."""
         slots, bases = self._index(effect)
         return None if bases is None or self.off is not None else (tuple(dict.fromkeys(slots)), tuple(bases))
 
@@ -120,13 +120,13 @@ class LinearModel:
             return X if places is None else tuple(x[n] for x, n in zip(X, self._layout.numbers(places), strict=True))
         slots, bases = ([k for e in effects for k in self._index(e)[part] or ()] for part in (0, 1))
         values = self._values(bases, places)
-        made = []
+        per_channel = []
         for g in self._in_folds:
             x = g[slots] if places is None else g[np.array(slots)[:, None], places]
             for k in range(x.shape[2]):  # numbers of a row have the same value: rows are multiplied on end
                 x[:, :, k] *= values
-            made.append(x.reshape(len(slots), -1).T)
-        return tuple(made)
+            per_channel.append(x.reshape(len(slots), -1).T)
+        return tuple(per_channel)
 
     def holed(self, residual: np.ndarray) -> np.ndarray:
         """Residuals, shape (N, m), NaN in channels that a row does not measure."""
@@ -136,8 +136,8 @@ class LinearModel:
         return np.where(np.repeat(self.present, sizes, axis=1), residual, np.nan)
 
     def prior_of(self, effect: Effect) -> float:
-        """Precision beforehand of an effect's coefficients: where unknown things take up much, huge ones may cancel out."""
-        of_arm = effect.where in (*self.own, "world_base", "tip_target")
+        """Prior precision of an effect's coefficients: where unknown things take up much, huge ones might cancel out."""
+        of_arm = effect.where in (*self.joints, "world_base", "tip_target")
         return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
 
     def slot_columns(self, where: str, component: str) -> np.ndarray:
@@ -146,7 +146,7 @@ class LinearModel:
 
     @cached_property
     def _indices(self) -> dict[Effect, tuple[list[int], list[int] | None]]:
-        """Slots and bases of the effects that were asked about; no bases where some are not among ``bases``."""
+        """Cache of the slots and bases of effects; None for bases where some are not among :attr:`bases`."""
         return {}
 
     def slots_of(self, effect: Effect) -> list[int]:
@@ -154,32 +154,32 @@ class LinearModel:
         return self._index(effect)[0]
 
     def _index(self, effect: Effect) -> tuple[list[int], list[int] | None]:
-        found = self._indices.get(effect)
-        if found is None:
+        indices = self._indices.get(effect)
+        if indices is None:
             if len(effect.slots) == 1:
                 slots = [self.slot_index[effect.slots[0]]] * len(effect.coefficients)
             else:
                 slots = [self.slot_index[c.where, c.component] for c in effect.coefficients]
             bases = [k for c in effect.coefficients if (k := self.basis_index.get(c.basis)) is not None]
-            found = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
-        return found
+            indices = self._indices[effect] = slots, bases if len(bases) == len(slots) else None
+        return indices
 
     def prepared(self, effect: Effect) -> bool:
         """True if all its bases are among ``bases``."""
         return self._index(effect)[1] is not None
 
     def prepare(self, effects: Sequence[Effect]) -> LinearModel:
-        """The same with the bases of further effects evaluated beforehand."""
-        asked = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
-        new = [basis for basis in asked if basis not in self.basis_index]
+        """The model with the bases of further effects evaluated."""
+        bases = dict.fromkeys(c.basis for e in effects for c in e.coefficients)
+        new = [basis for basis in bases if basis not in self.basis_index]
         phi = np.vstack([self.phi.T, *(evaluate(basis, self.table) for basis in new)]).T
-        made = replace(self, bases=(*self.bases, *new), phi=phi)
-        # Of the same columns: none is multiplied again.
-        vars(made).update(_in_folds=self._in_folds, products=self.products.made_by(made._source))
-        return made
+        model = replace(self, bases=(*self.bases, *new), phi=phi)
+        # The columns stay, and so do their products.
+        vars(model).update(_in_folds=self._in_folds, products=self.products.made_by(model._source))
+        return model
 
     def moves(self, effect: Effect) -> bool:
-        """True if each of its motions is seen at all: a turn of the target is not, where only positions are measured."""
+        """True if each motion of an effect moves some row: a turn of the target moves none where only positions are measured."""
         return all(self._moves[self.slot_index[slot]] for slot in effect.slots)
 
     @cached_property
@@ -193,47 +193,47 @@ class LinearModel:
         return self.seen(self.G[:, :, slots] * self._bases_of(effects)[:, None, :])
 
     def made_of(self, effect: Effect, beta: np.ndarray) -> np.ndarray:
-        """What an effect does with coefficients of shape (d,), shape (N, m), before unknown things take up a part."""
+        """Values of an effect with coefficients of shape (d,), shape (N, m), the part of unknown things included."""
         slots, phi = self.slots_of(effect), self._bases_of([effect])
         values = np.zeros(self.r.shape)
         for slot in dict.fromkeys(slots):
-            own = [k for k, other in enumerate(slots) if other == slot]
-            values += self.G[:, :, slot] * (phi[:, own] @ beta[own])[:, None]
+            of_slot = [k for k, other in enumerate(slots) if other == slot]
+            values += self.G[:, :, slot] * (phi[:, of_slot] @ beta[of_slot])[:, None]
         return values
 
     def _bases_of(self, effects: Sequence[Effect]) -> np.ndarray:
         """Bases of each coefficient of some effects, shape (N, d)."""
-        known = [self._index(e)[1] for e in effects]
-        if all(bases is not None for bases in known):
-            return self.phi[:, [k for bases in known for k in bases or ()]]
+        numbers = [self._index(e)[1] for e in effects]
+        if all(bases is not None for bases in numbers):
+            return self.phi[:, [k for bases in numbers for k in bases or ()]]
         return np.column_stack([evaluate(c.basis, self.table) for e in effects for c in e.coefficients])
 
     def seen(self, values: np.ndarray) -> np.ndarray:
-        """Columns (N, m, d) less what unknown things take up."""
+        """Columns (N, m, d) less the part that unknown things take up."""
         return values if self.off is None else self.off(values)
 
 
 @dataclass(frozen=True)
 class Active:
-    """An effect that is in the model; a smooth one by the modes that its data can tell, each with unit prior.
+    """An effect in the model; a smooth one by the modes that the data determine, each with unit prior.
 
     Attributes:
         effect: The effect.
         score: Its evidence, and its shape if it is smooth.
         modes: Coefficients of each mode, shape (d, modes); the coefficients themselves if it is not smooth.
-        stated: True if the campaign declares it: it stays, whatever the evidence.
-        prior: Precision of each coefficient beforehand, if it is not smooth.
+        declared: True if the campaign declares it: it stays, whatever the evidence.
+        prior: Prior precision of each coefficient, if it is not smooth.
     """
 
     effect: Effect
     score: Score
     modes: np.ndarray
-    stated: bool = False
+    declared: bool = False
     prior: float = 0.0
 
     @property
     def precision(self) -> np.ndarray:
-        """Prior precision of what is solved for."""
+        """Prior precision of its unknowns, shape (modes, modes)."""
         return (1.0 if self.effect.smooth else self.prior) * np.eye(self.modes.shape[1])
 
     @property
@@ -245,7 +245,7 @@ class Active:
 
     @property
     def root(self) -> np.ndarray:
-        """Combinations of its coefficients that are independent beforehand, shape (d, d)."""
+        """Combinations of its coefficients that are independent in the prior, shape (d, d)."""
         if not self.effect.smooth:
             return np.eye(len(self.effect.coefficients))
         return self.score.tau * samples_root(self.effect.shape, self.score.kernel)

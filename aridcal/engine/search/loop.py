@@ -1,4 +1,4 @@
-"""The arm calibrated from measured poses: frames and constants, then effects that nobody declared."""
+"""The loop of a calibration: constants, effects, causes of scatter as weights, and again until the weights stay."""
 
 from __future__ import annotations
 
@@ -73,8 +73,8 @@ class CalibratedArm:
     Attributes:
         rows: All rows, the held-out ones too.
         geometry: Frames alone, and frames with constants; the latter recentred and knowing gravity.
-        diagnosed: The final model and how it came about.
-        causes: What its residual's scatter is made of; None where that was not asked.
+        diagnosed: The final model and the search that led to it.
+        causes: Causes of the scatter of its residual; None where there are too few rows.
     """
 
     rows: Dataset
@@ -86,11 +86,11 @@ class CalibratedArm:
 def calibrated_arm(
     question: Question, robot: Robot, rows: Dataset, labels: tuple[str, ...], geometry: Geometry, progress: Progress
 ) -> CalibratedArm:
-    """Fit and search; ask what makes the rows scatter; if that is more than the instrument, do it again with it as weights.
+    """Fit and search; estimate the causes of scatter; if these are more than the instrument, fit again with them as weights.
 
-    So no effect is made of the scatter of a joint's reading, and rows that this scatter does not touch count in full. Weights are
-    those of joints and distances: of a real robot with a tracker, those of directions and levers, found in the same rows,
-    made the error on rows held out 4 % larger. What the final model leaves is asked about all causes, to name them.
+    So no effect imitates the scatter of a joint's reading, and rows that this scatter does not touch count in full. Only joints
+    and distances make weights: on a real robot with a tracker, directions and levers estimated from the same rows made the
+    error on held-out rows 4 % larger. The final model's residual is tested for all causes, to name them.
     """
     bodies = targets_of_one_body(rows, float(geometry.geometric.estimated[0]))
     if bodies > 1:
@@ -104,18 +104,18 @@ def calibrated_arm(
 
     def weighed_anew(data: Dataset) -> Geometry:
         anew = fit_constants(question, robot, data, labels, progress)
-        return _around(anew, geometry.geometric.model.around)
+        return _with_surroundings(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
     for _ in range(WEIGHED if bodies == 1 else 0):
-        share = _share(rows, arm.diagnosed.fit)
+        share = _share_of_row(rows, arm.diagnosed.fit)
         if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
             break
         progress("weighing rows of one place by how alike they err, and looking again")
         rows = rows.with_repeats(share=share)
         geometry = weighed_anew(rows)
         arm = fitted(rows, geometry, arm.diagnosed)
-    if (elsewhere := _hung_again(arm)) is not None:
+    if (elsewhere := _with_payload_at_target(arm)) is not None:
         progress("the target is elsewhere than the geometry had it: the payload hangs there, fitting again")
         geometry = elsewhere
         arm = fitted(rows, geometry, arm.diagnosed)
@@ -134,60 +134,62 @@ def calibrated_arm(
         arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=_causes(arm, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
-        return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_named(arm, rows, progress))
-    return _nominal(question, arm, progress)
+        return replace(
+            arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
+        )
+    return _keep_nominal(question, arm, progress)
 
 
 def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
-    """What the scatter of a fitted arm is made of; see :func:`noise_causes`."""
+    """Causes of the scatter of a fitted arm; see :func:`noise_causes`."""
     return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
 
 
-def _named(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
-    """What the scatter is made of, asked of all causes; in the figures of the weights where these name the same."""
+def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
+    """Causes of scatter among all kinds; with the figures of the weights where both name the same causes."""
     every, weighed = _causes(arm, rows, progress), arm.causes
     if every is None or weighed is None:
         return weighed
-    names, before = ([(c.kind, c.name) for c in own.causes] for own in (every, weighed))
+    names, before = ([(c.kind, c.name) for c in part.causes] for part in (every, weighed))
     if names != before or every.structured != weighed.structured:
         return every
     pairs = zip(weighed.causes, every.causes, strict=True)
-    return replace(weighed, causes=tuple(replace(own, rivals=other.rivals) for own, other in pairs))
+    return replace(weighed, causes=tuple(replace(cause, rivals=other.rivals) for cause, other in pairs))
 
 
-def _share(rows: Dataset, fit: Fit) -> float:
-    """What each row counts for, by how alike rows of one place err in a fit of the training rows."""
-    used = rows.fitted.select(~fit.outliers)
+def _share_of_row(rows: Dataset, fit: Fit) -> float:
+    """Independent rows that each row counts for, as rows of one place err alike in a fit of the training rows."""
+    in_use = rows.fitted.select(~fit.outliers)
     residual = fit.residual[~fit.outliers]
-    return independent_share(used, residual / spread(rms_of_channels(residual, used), used.channels))
+    return independent_share(in_use, residual / spread(rms_of_channels(residual, in_use), in_use.channels))
 
 
-def _hung_again(arm: CalibratedArm) -> Geometry | None:
-    """The geometry with the payload where the final model has the target; None where that changes no load that matters."""
+def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
+    """The geometry with the payload at the final model's target; None where that changes no load of an effect."""
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
     loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
     (payload, *others) = before.payloads
     if others or payload.on or not (before.loaded and loads and np.linalg.norm(lever - payload.lever) > HANGS):
         return None
-    return _around(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
+    return _with_surroundings(arm.geometry, replace(before, payloads=(replace(payload, lever=lever),)))
 
 
-def _around(geometry: Geometry, around: Surroundings) -> Geometry:
-    """A geometry that knows of other surroundings."""
+def _with_surroundings(geometry: Geometry, around: Surroundings) -> Geometry:
+    """The geometry with other surroundings."""
     geometric = geometry.geometric
     return replace(geometry, geometric=replace(geometric, model=replace(geometric.model, around=around)))
 
 
-def _nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
-    """The nominal robot with its frames alone, and effects that are stated, in place of a calibrated arm."""
+def _keep_nominal(question: Question, arm: CalibratedArm, progress: Progress) -> CalibratedArm:
+    """The nominal robot with its frames and the declared effects alone, in place of a calibrated arm."""
     rows, geometry, fit = arm.rows, arm.geometry, arm.diagnosed.fit
     progress("the nominal robot predicts held-back rows as well: keeping it")
     frames = recentred(geometry.nominal)
     frames = replace(frames, model=replace(frames.model, around=geometry.geometric.model.around))
-    kept = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
+    reason = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
-    arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, kept, free), rows, progress)
+    arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, reason, free), rows, progress)
     return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
 
 
@@ -199,24 +201,24 @@ def fit_constants(
     geometric = recentred(geometry.geometric)
     around = surroundings(question, geometric.model, bool(question.payloads) or PAYLOAD in rows.covariates)
     around = replace(around, sights=sights_of(geometric.model, rows.fitted))
-    return _around(replace(geometry, geometric=geometric), around)
+    return _with_surroundings(replace(geometry, geometric=geometric), around)
 
 
 def fit_arm(
     question: Question, geometry: Geometry, rows: Dataset, progress: Progress, before: Diagnosed | None = None
 ) -> CalibratedArm:
-    """Look for what the constants do not explain, on the training rows, and fit all together.
+    """Search effects beside the constants, on the training rows, and fit all together.
 
     Args:
-        question: Which effects are stated, and which kinds may be sought.
+        question: Which effects are declared, and which kinds may be added.
         geometry: Fitted to the training rows.
         rows: All rows.
-        progress: Called with what is being done.
+        progress: Called with the work in hand.
         before: An earlier search, on other weights.
     """
     fit = geometry.geometric
-    asked = question.without_search() if is_short(fit) else question
-    return CalibratedArm(rows, geometry, diagnose(asked, fit, rows.fitted, progress, before))
+    narrowed = question.without_search() if is_short(fit) else question
+    return CalibratedArm(rows, geometry, diagnose(narrowed, fit, rows.fitted, progress, before))
 
 
 def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings:
@@ -235,7 +237,7 @@ def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings
 
 
 def is_short(fit: Fit) -> bool:
-    """True if so few numbers are left after a fit that nobody can say what it lacks: effects are not sought then."""
+    """True if so few degrees of freedom are left after a fit that no effect can be searched."""
     return fit.freedom <= LEAST_FREEDOM * fit.numbers
 
 
@@ -243,7 +245,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     r"""True if the larger of two models predicts blocks of held-back configurations better.
 
     Both are linear about their own optimum, so that each block costs one solution. Squares :math:`s` of each channel are
-    counted in units of what the smaller model leaves. Each configuration gains
+    counted in units of the smaller model's mean. Each configuration gains
 
     .. math:: (s_1 - s_2) / (s_1 + s_2)
 
@@ -251,44 +253,44 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
 
     Args:
         larger: K coefficients, fitted to the data.
-        smaller: Fitted to the same.
+        smaller: Fitted to the same rows.
         data: N rows.
     """
-    used = ~larger.outliers
+    in_use = ~larger.outliers
     if larger.numbers > PLENTY * len(larger.theta) or len(larger.theta) == len(smaller.theta):
         return True
-    part = data.select(used)
-    squares = [_squares(fit, part) for fit in (smaller, larger)]
+    part = data.select(in_use)
+    squares = [_held_back_squares(fit, part) for fit in (smaller, larger)]
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
-    left = np.stack([np.bincount(part.repeats.configuration, (own / unit).sum(axis=1)) for own in squares])
-    gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
+    errors = np.stack([np.bincount(part.repeats.configuration, (each / unit).sum(axis=1)) for each in squares])
+    gain = (errors[0] - errors[1]) / np.maximum(errors.sum(axis=0), np.finfo(float).tiny)
     return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
-def _squares(fit: Fit, data: Dataset) -> np.ndarray:
+def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
     r"""Squared residual of each row in each channel, its block held back, shape (N, C).
 
     With :math:`\Lambda` the information of the whole fit, priors included, and :math:`H_b, g_b` the sums of one block, the
     solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
     """
-    asked = problem(fit.model, data)
-    pieces = [(r, J) for _, r, J in eliminated(asked, fit.theta, np.ones(len(data)), fit.sigma)]
+    question = problem(fit.model, data)
+    pieces = [(r, J) for _, r, J in eliminated(question, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
     together = held_together(data)
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]
-    left = r.copy()
-    for k in np.unique(block) if K else ():  # of known frames alone nothing was fitted
-        own = block == k
-        sums = accumulate([J[own][:, c].reshape(-1, K) for c in parts], [r[own][:, c].ravel() for c in parts])
+    residual = r.copy()
+    for k in np.unique(block) if K else ():  # where all frames are known nothing was fitted
+        in_block = block == k
+        sums = accumulate([J[in_block][:, c].reshape(-1, K) for c in parts], [r[in_block][:, c].ravel() for c in parts])
         H, g = data.repeats.share * sums.information(fit.sigma), data.repeats.share * sums.pull(fit.sigma)
-        left[own] = r[own] + J[own] @ solve(fit.information - H, g, ridge=RIDGE)
-    return np.stack([np.sum(left[:, c] ** 2, axis=1) for c in parts], axis=1)
+        residual[in_block] = r[in_block] + J[in_block] @ solve(fit.information - H, g, ridge=RIDGE)
+    return np.stack([np.sum(residual[:, c] ** 2, axis=1) for c in parts], axis=1)
 
 
 def structured_notices(causes: NoiseCauses | None) -> list[str]:
-    """Sentences on what seems to scatter and does not, and on what weights do not know."""
+    """Sentences on structure that looks like scatter, and on errors that rows share and weights cannot hold."""
     misread = (
         "the residual looks as if {} were misread at random, but its errors come back at neighbouring rows: an error "
         "curve or play that the model lacks, and no noise"

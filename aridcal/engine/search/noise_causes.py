@@ -1,9 +1,9 @@
-"""What the residual's scatter is made of: each instrument's channel, joints' readings, range, the arm's own repeatability.
+"""Causes of the residual's scatter: each instrument's channel, joints' readings, range, the arm's own repeatability.
 
 A joint whose reading scatters moves the predicted target by its column: such noise grows with the lever, ties a row's
 numbers together, and looks like no instrument. All rows that were measured while the arm stood still share it. Each cause is
 one variance of their covariance (:mod:`aridcal.engine.fit.variance_components`), chosen one after the other by a likelihood-ratio
-test. Rows are then weighed with what was found: each with its own covariance, for weights know nothing of other rows.
+test. Rows are then weighed by these causes, each row with its own covariance, for weights know nothing of other rows.
 """
 
 from __future__ import annotations
@@ -102,17 +102,17 @@ class NoiseCause:
     """One cause of scatter.
 
     Attributes:
-        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, which is told as that of each);
+        kind: An instrument's ``channel``; the reading of a ``joint`` (or of all ``joints`` alike, listed as that of each);
             ``range``: position noise per metre from the origin of
             the world frame; ``sight``: rotation noise about the line from there to the target; ``length``: noise of a
-            distance per metre read; ``repeatability``: what is the same in every row, where rows state their noise.
+            distance per metre read; ``repeatability``: a part of the same size in every row, where rows state their noise.
         name: Of the channel or of the joint's reading; else the channel that it acts on.
         unit: Of value and std.
         value: 1-sigma (per axis).
         std: Of the value.
         share: Of the variance of each channel over the training rows, shape (C,).
-        shape: What it lies along; None for the others.
-        rivals: What explains the scatter as well in its place: the rows do not tell which it is.
+        shape: Direction, point or lever of the noise; None for kinds without one.
+        rivals: Causes that explain the scatter as well in its place: the rows do not tell them apart.
     """
 
     kind: Kind
@@ -127,11 +127,11 @@ class NoiseCause:
 
 @dataclass(frozen=True)
 class NoiseCauses:
-    """What the scatter of the training rows is made of.
+    """The causes of the training rows' scatter.
 
     Attributes:
-        causes: The channels first, then what was found beyond them.
-        total: What all of them make of each channel, RMS per axis over the training rows, shape (C,).
+        causes: The channels first, then the causes beyond them.
+        total: Noise of all causes together in each channel, RMS per axis over the training rows, shape (C,).
         structured: Joints, and channels as range or line of sight concern them, that seem to scatter but whose errors come
             back at neighbouring rows: no noise.
         relative: Factors of all N rows' noise (see :class:`Dataset`), shape (N, m, m); None where the rows' own will do, as
@@ -147,17 +147,17 @@ class NoiseCauses:
 
     @property
     def channels(self) -> tuple[NoiseCause, ...]:
-        """The instrument's."""
+        """The causes that are the instrument's channels."""
         return tuple(c for c in self.causes if c.kind == "channel")
 
     @property
     def further(self) -> tuple[NoiseCause, ...]:
-        """Those beyond the instrument's channels, the largest share of the first channel's variance first, then of the next."""
+        """Causes beyond the instrument's channels, sorted by their share of the first channel's variance, then of the next."""
         return tuple(sorted((c for c in self.causes if c.kind != "channel"), key=lambda c: tuple(-c.share)))
 
     @property
     def beyond(self) -> np.ndarray:
-        """What those make of each channel, RMS per axis over the training rows, shape (C,)."""
+        """Noise of the causes beyond the channels, RMS per axis over the training rows, shape (C,)."""
         return self.total * np.sqrt(sum((c.share for c in self.further), np.zeros(len(self.total))))
 
 
@@ -167,13 +167,13 @@ Tie = tuple[Asked, Components, int]
 
 @dataclass(frozen=True)
 class _Inquiry:
-    """What is asked, of which rows.
+    """Rows and the causes that may scatter them.
 
     Attributes:
-        causes: All that may be, those with a shape last.
+        causes: All possible causes, those with a shape last.
         scatter: Residuals, and the covariances of these causes.
-        seen: Where the targets are.
-        channels: Those whose noise may have a shape.
+        targets: Poses of the targets.
+        channels: Channels whose noise may have a shape.
         rows: The rows.
         still: How they are stacked.
         orders: Pairs of neighbouring rows, and of neighbouring standstills.
@@ -181,7 +181,7 @@ class _Inquiry:
 
     causes: tuple[Asked, ...]
     scatter: Scatter
-    seen: Seen
+    targets: Seen
     channels: tuple[Channel, ...]
     rows: Dataset
     still: Stack
@@ -192,112 +192,112 @@ class _Inquiry:
         return np.array([cause.kind in kinds for cause in self.causes])
 
     @cached_property
-    def held(self) -> np.ndarray:
-        """Which are the channels."""
+    def is_channel(self) -> np.ndarray:
+        """Which causes are the channels, shape (C,) bool."""
         return self.of("channel")
 
     @cached_property
     def price(self) -> np.ndarray:
-        """What the numbers of shapes cost, shape (C,), [nat]."""
+        """Price of the numbers of each cause's shape, shape (C,), [nat]."""
         return np.array([0.0 if c.shape is None else c.shape.price(len(self.rows)) for c in self.causes])
 
     def beside(self, some: np.ndarray, kinds: Sequence[str]) -> np.ndarray:
-        """Which causes of some kinds act on a channel that one of these kinds acts on among some causes, shape (C,) bool."""
+        """Causes of some kinds on a channel on which one of ``some`` is of these kinds, too, shape (C,) bool."""
         along, names = self.of(*kinds), np.array([cause.name for cause in self.causes])
         return along & np.isin(names, names[some & along])
 
-    def second(self, found: Components) -> np.ndarray:
-        """Which causes lie in the world's axes beside one of their channel, shape (C,) bool: they would be what it misses."""
-        return self.beside(found.free, IN_WORLD)
+    def second(self, maximum: Components) -> np.ndarray:
+        """Causes in the world's axes beside one in the model on their channel, (C,) bool: they would explain its misfit alone."""
+        return self.beside(maximum.free, IN_WORLD)
 
     def rests(self, structured: np.ndarray) -> np.ndarray:
-        """Which causes lie along something of a channel of which such a one comes back, shape (C,) bool.
+        """Causes with a direction on a channel where one of these repeats at neighbouring rows, shape (C,) bool.
 
-        A frame that turns slowly is off along no single direction: what one leaves of it, another would be named for.
+        A frame that turns slowly is off along no single direction: another cause would be named for the rest of it.
         """
         return self.beside(structured, ("range", "sight", *SHAPES))
 
-    def aimed(self, found: Components) -> _Inquiry:
-        """The same with all shapes that are not in the model as what it leaves asks for them."""
-        made = self
-        for k, some in self.shapes(found).items():
-            made = made.with_shape(k, some[0])
-        return made
+    def aimed(self, maximum: Components) -> _Inquiry:
+        """The inquiry with the shapes that are not in the model fitted to its residual."""
+        inquiry = self
+        for k, some in self.shapes(maximum).items():
+            inquiry = inquiry.with_shape(k, some[0])
+        return inquiry
 
-    def shapes(self, found: Components) -> dict[int, list[Shape]]:
-        """Shapes that what a maximum leaves may ask for, of each cause that has one and is not in the model."""
+    def shapes(self, maximum: Components) -> dict[int, list[Shape]]:
+        """Shapes fitted to the residual at a maximum, by the cause, for causes with a shape that are not in the model."""
         at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
-        if found.free[at].all():
+        if maximum.free[at].all():
             return {}
         scatter, still = self.scatter, self.still
-        pull, kernel = found.pull[: still.count], found.kernel[: still.count]
-        left = np.einsum("nij,nj->ni", covariances(scatter, found.at)[: still.count], pull)
-        pull, kernel, left = still.of_rows(pull), still.blocks_of_rows(kernel), still.of_rows(left)
-        every = aimed(self.seen, self.channels, left, pull, kernel)
-        return {k: some for k, some in zip(at, every, strict=True) if not found.free[k]}
+        pull, kernel = maximum.pull[: still.count], maximum.kernel[: still.count]
+        residual = np.einsum("nij,nj->ni", covariances(scatter, maximum.at)[: still.count], pull)
+        pull, kernel, residual = still.of_rows(pull), still.blocks_of_rows(kernel), still.of_rows(residual)
+        every = aimed(self.targets, self.channels, residual, pull, kernel)
+        return {k: some for k, some in zip(at, every, strict=True) if not maximum.free[k]}
 
     def with_shape(self, k: int, shape: Shape) -> _Inquiry:
-        """The same with another shape of a cause."""
-        cause = shaped(shape, self.seen)
+        """The inquiry with another shape of cause k."""
+        cause = shaped(shape, self.targets)
         blocks = self.scatter.blocks.copy()
         blocks[k, : self.still.count] = cause.stacked(self.still)
         causes = (*self.causes[:k], cause, *self.causes[k + 1 :])
         return replace(self, causes=causes, scatter=replace(self.scatter, blocks=blocks))
 
-    def refined(self, found: Components, k: int) -> tuple[_Inquiry, Components]:
-        """A cause that was just named with the likeliest of its shapes and of the numbers near these, and the maximum.
+    def refined(self, maximum: Components, k: int) -> tuple[_Inquiry, Components]:
+        """The inquiry with the likeliest shape of a cause that was just named, and the maximum with it.
 
-        A shape that is a little off leaves a rest that something else is accused of.
+        A shape that is a little off leaves a rest for which another cause would be named.
         """
-        shape, own = self.causes[k].shape, np.arange(len(self.causes)) == k
+        shape, this = self.causes[k].shape, np.arange(len(self.causes)) == k
         if shape is None:
-            return self, found
+            return self, maximum
 
         def likeliest(shapes: Iterable[Shape]) -> tuple[float, Shape]:
-            return max(((self._height_with(found, k, other), other) for other in shapes), key=itemgetter(0))
+            return max(((self._height_with(maximum, k, other), other) for other in shapes), key=itemgetter(0))
 
-        height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, found, own)).get(k, [])])
-        for step in STEPS if shape.free else ():  # else no number of it was taken from the residual
-            while (better := likeliest(nearby(shape, step, self.seen)))[0] > height + SETTLED:
+        height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
+        for step in STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
+            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + SETTLED:
                 height, shape = better
-        again = self.with_shape(k, shape)
-        return again, with_one(again.scatter, found, k, float(found.variance[k]))
+        reshaped = self.with_shape(k, shape)
+        return reshaped, with_one(reshaped.scatter, maximum, k, float(maximum.variance[k]))
 
-    def _height_with(self, found: Components, k: int, shape: Shape) -> float:
-        """The bound about a maximum where a cause has another shape, what this costs taken off."""
-        free = np.flatnonzero(found.free)
+    def _height_with(self, maximum: Components, k: int, shape: Shape) -> float:
+        """The bound about a maximum where cause k has another shape, less the price of that shape."""
+        free = np.flatnonzero(maximum.free)
         blocks = self.scatter.blocks[free]
-        blocks[int(np.searchsorted(free, k)), : self.still.count] = shaped(shape, self.seen).stacked(self.still)
+        blocks[int(np.searchsorted(free, k)), : self.still.count] = shaped(shape, self.targets).stacked(self.still)
         rows = replace(self.scatter, blocks=blocks)
-        return highest(rows, self.scatter, found, free) - shape.price(len(self.rows))
+        return highest(rows, self.scatter, maximum, free) - shape.price(len(self.rows))
 
-    def comes_back(self, found: Components, k: int) -> tuple[bool, Components]:
-        """True if what a cause was off by comes back at neighbours: then it is no noise; and the maximum, settled if need be."""
-        share = self._repeated(found, k)
+    def comes_back(self, maximum: Components, k: int) -> tuple[bool, Components]:
+        """True if errors of cause k repeat at neighbouring rows, so that it is no noise; and the maximum, settled if need be."""
+        share = self._share_repeated(maximum, k)
         if 1.0 / UNSURE < share < UNSURE:
-            found = settled(self.scatter, found)
-            share = self._repeated(found, k)
-        return share > 1.0, found
+            maximum = settled(self.scatter, maximum)
+            share = self._share_repeated(maximum, k)
+        return share > 1.0, maximum
 
-    def _repeated(self, found: Components, k: int) -> float:
-        """How much what a cause was off by comes back at neighbouring rows, or at neighbouring standstills if these share it.
+    def _share_repeated(self, maximum: Components, k: int) -> float:
+        """How much errors of cause k repeat at neighbouring rows, or standstills if these share them; above 1: it is no noise.
 
-        What a row's residual says of it, with its sign, is u = J' P y; J' P J times the cause is in it. Of noise, products of
-        two rows have the mean 0; of what comes back, they have theta times the product of both rows' J' P J. More than 1 is as
-        much as it takes, in the part and the pairs in which it is most.
+        The score of a row's error, with its sign, is u = J' P y, which holds J' P J times the error. Products of two rows'
+        scores have the mean 0 if errors are independent, and theta times the product of both J' P J if they repeat. The part
+        and the pairs that repeat most count.
         """
         cause, still = self.causes[k], self.still
-        pull, kernel = found.pull[: still.count], found.kernel[: still.count]
+        pull, kernel = maximum.pull[: still.count], maximum.kernel[: still.count]
         if not cause.common:
             pull, kernel = still.of_rows(pull), still.blocks_of_rows(kernel)
         most = 0.0
         for part in cause.parts:
             root = still.vectors(part.root) if cause.common else part.root
-            said = np.einsum("nmd,nm->nd", root, pull)
-            known = root.transpose(0, 2, 1) @ kernel @ root
+            score = np.einsum("nmd,nm->nd", root, pull)
+            information = root.transpose(0, 2, 1) @ kernel @ root
             for a, b in (pairs.T for pairs in self.orders[cause.common]):
-                product = np.einsum("nd,nd->n", said[a], said[b])
-                whole = REPEATABLE * float(found.variance[k] * np.sum(known[a] * known[b]))
+                product = np.einsum("nd,nd->n", score[a], score[b])
+                whole = REPEATABLE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
                 chance = ALIKE * float(np.sqrt(product @ product))
                 most = max(most, float(product.sum()) / max(whole, chance, TINY))
         return most
@@ -306,43 +306,43 @@ class _Inquiry:
 def noise_causes(
     fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
 ) -> NoiseCauses | None:
-    """Find what the scatter is made of; None if there are too few rows to ask.
+    """The causes of the scatter; None if there are too few rows to tell.
 
     Args:
         fit: The final model, fitted to the training rows.
         active: Its effects.
-        rows: All rows, scaled by what the campaign says of their noise. Held-out rows are not asked; they are weighed.
-        progress: Told how many causes are found.
-        shapes: Whether noise along directions, lines of sight, axes of the target and levers is asked about, too.
+        rows: All rows, scaled by what the campaign says of their noise. Held-out rows are only weighed.
+        progress: Called with the number of causes in the model.
+        shapes: Whether noise along directions, lines of sight, axes of the target and levers is possible, too.
     """
-    asked = problem(fit.model, rows)
+    question = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = representative(asked, train, ASKED if shapes else SEARCHED)
+    some = representative(question, train, ASKED if shapes else SEARCHED)
     if len(some) < FEWEST:
         return None
-    part = asked.select(some)
+    part = question.select(some)
     inquiry = _inquiry(part, fit, active, shapes)
-    held = inquiry.held
-    found = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, held)
-    structured = np.zeros(len(held), dtype=bool)
+    is_channel = inquiry.is_channel
+    maximum = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, is_channel)
+    structured = np.zeros(len(is_channel), dtype=bool)
     for _ in range(ROUNDS):
-        inquiry, found, structured = _named(inquiry, found, structured, progress)
-        inquiry, found, ties = _challenged(inquiry, found, structured | inquiry.rests(structured))
+        inquiry, maximum, structured = _add_causes(inquiry, maximum, structured, progress)
+        inquiry, maximum, ties = _try_rivals(inquiry, maximum, structured | inquiry.rests(structured))
         if ties is not None:
             break
-        structured &= found.free
-    found = settled(inquiry.scatter, found)
-    return _told(inquiry, found, structured, ties or {}, asked, fit.theta)
+        structured &= maximum.free
+    maximum = settled(inquiry.scatter, maximum)
+    return _result(inquiry, maximum, structured, ties or {}, question, fit.theta)
 
 
 def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
-    """What is asked of some rows."""
-    causes, seen = possible(part, fit.theta)
-    channels = tuple(channel for channel in part.channels if shapes and channel.name in seen.own)
+    """The inquiry on some rows, no cause beyond the channels in the model."""
+    causes, targets = possible(part, fit.theta)
+    channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.axes)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
-        # Aimed as soon as there is a fit that says where.
-        causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(seen, channel)]
+        # Shapes are fitted as soon as there is a maximum.
+        causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(targets, channel)]
     still = stack(standstills(part.data), there(part.data))
     start = np.zeros(len(causes))
     start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
@@ -350,162 +350,167 @@ def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) ->
     first = np.unique(still.number, return_index=True)[1]
     near = neighbours(part.data)
     orders = {False: near, True: near if len(first) == len(part.data) else neighbours(part.data.select(first))}
-    return _Inquiry(tuple(causes), scatter, seen, channels, part.data, still, orders)
+    return _Inquiry(tuple(causes), scatter, targets, channels, part.data, still, orders)
 
 
-def _named(
-    inquiry: _Inquiry, found: Components, structured: np.ndarray, progress: Progress
+def _add_causes(
+    inquiry: _Inquiry, maximum: Components, structured: np.ndarray, progress: Progress
 ) -> tuple[_Inquiry, Components, np.ndarray]:
-    """Causes one after the other, as long as more than chance asks for one."""
-    single, alike, held = inquiry.of("joint"), inquiry.of("joints"), inquiry.held
-    inquiry = inquiry.aimed(found)
+    """Causes added one after the other, as long as chance does not explain the next."""
+    single, alike, is_channel = inquiry.of("joint"), inquiry.of("joints"), inquiry.is_channel
+    inquiry = inquiry.aimed(maximum)
     while True:
-        # No price is enough for what would only be named for what another misses.
-        price = np.where(inquiry.second(found), np.inf, inquiry.price)
-        more = one_more(inquiry.scatter, found, held, price)
+        # A cause that would only explain another's misfit is not for any price.
+        price = np.where(inquiry.second(maximum), np.inf, inquiry.price)
+        more = one_more(inquiry.scatter, maximum, is_channel, price)
         if more is None:
-            return inquiry, found, structured
-        k, found = more
-        progress.part(int(found.free.sum()), len(held), "causes")
-        if (found.free & single).sum() > 1 and (alike & ~found.free).any():
-            # One number in place of several, if it says as much.
-            fewer = instead(inquiry.scatter, found, single, int(np.argmax(alike)))
-            k, found = (k, found) if fewer is None else (int(np.argmax(alike)), fewer)
-        inquiry, found = inquiry.refined(found, k)
-        # What comes back stays in the model here, so that no other cause has to take it over, but it is not noise.
-        structured[k], found = inquiry.comes_back(found, k)
-        structured &= found.free
-        inquiry = inquiry.aimed(found)
+            return inquiry, maximum, structured
+        k, maximum = more
+        progress.part(int(maximum.free.sum()), len(is_channel), "causes")
+        if (maximum.free & single).sum() > 1 and (alike & ~maximum.free).any():
+            # One variance in place of several, if it explains as much.
+            fewer = instead(inquiry.scatter, maximum, single, int(np.argmax(alike)))
+            k, maximum = (k, maximum) if fewer is None else (int(np.argmax(alike)), fewer)
+        inquiry, maximum = inquiry.refined(maximum, k)
+        # An error that repeats stays in the model, so that no other cause has to explain it, but it is no noise.
+        structured[k], maximum = inquiry.comes_back(maximum, k)
+        structured &= maximum.free
+        inquiry = inquiry.aimed(maximum)
 
 
-def _challenged(
-    inquiry: _Inquiry, found: Components, structured: np.ndarray
+def _try_rivals(
+    inquiry: _Inquiry, maximum: Components, structured: np.ndarray
 ) -> tuple[_Inquiry, Components, dict[int, list[Tie]] | None]:
-    """Let each named cause meet its rivals, and joints that are accused together those of all of them.
+    """Compare each named cause with its rivals, and all named joints together with theirs.
 
     Returns:
-        What is asked, the maximum, and the rivals that are as good, by cause. Where a cause is not needed, or a rival explains
-        more, it is the maximum without that cause, or with that rival, and None.
+        The inquiry, the maximum, and by cause the rivals that are as good. Where a cause is not needed, or a rival explains
+        more: the maximum without that cause, or with that rival, and None.
     """
-    held, price, scatter = inquiry.held, inquiry.price, inquiry.scatter
-    accused = found.free & ~held & ~structured & (found.variance > 0.0)
-    sets = [np.arange(len(held)) == k for k in np.flatnonzero(accused)]
-    joints = accused & inquiry.of("joint", "joints")
+    is_channel, price, scatter = inquiry.is_channel, inquiry.price, inquiry.scatter
+    candidates = maximum.free & ~is_channel & ~structured & (maximum.variance > 0.0)
+    sets = [np.arange(len(is_channel)) == k for k in np.flatnonzero(candidates)]
+    joints = candidates & inquiry.of("joint", "joints")
     if joints.sum() > 1:
         sets.insert(0, joints)
-    ties: dict[int, list[Tie]] = {int(k): [] for k in np.flatnonzero(accused)}
-    for own in sets:
-        cost = float(price[own].sum())
-        base = roughly_without(scatter, found, own)
-        if found.log_likelihood - base.log_likelihood - cost < WEAK:
-            base = without(scatter, found, own)
-            if not needed(found, base, cost, held):
-                return inquiry, base, None
-        worth = found.log_likelihood - cost
-        again = inquiry.aimed(base)
-        tried = [(k, with_one(again.scatter, base, k, variance)) for k, variance in _likeliest(again, base, own, worth)]
-        gains = [more.log_likelihood - again.price[k] - worth for k, more in tried]
+    ties: dict[int, list[Tie]] = {int(k): [] for k in np.flatnonzero(candidates)}
+    for members in sets:
+        cost = float(price[members].sum())
+        without_set = roughly_without(scatter, maximum, members)
+        if maximum.log_likelihood - without_set.log_likelihood - cost < WEAK:
+            without_set = without(scatter, maximum, members)
+            if not needed(maximum, without_set, cost, is_channel):
+                return inquiry, without_set, None
+        worth = maximum.log_likelihood - cost
+        inquiry_without = inquiry.aimed(without_set)
+        trials = [
+            (k, with_one(inquiry_without.scatter, without_set, k, variance))
+            for k, variance in _likely_rivals(inquiry_without, without_set, members, worth)
+        ]
+        gains = [more.log_likelihood - inquiry_without.price[k] - worth for k, more in trials]
         if gains and max(gains) > 0.0:
-            k, more = tried[int(np.argmax(gains))]
-            return again, more, None
-        for (k, more), gain in zip(tried, gains, strict=True):
-            # A shape may well coincide with a joint's motion, so that its price is none to those who must be told of it.
-            if gain + again.price[k] > -TIED:
-                for mine in np.flatnonzero(own):
-                    ties[int(mine)].append((again.causes[k], more, k))
-    return inquiry, found, ties
+            k, more = trials[int(np.argmax(gains))]
+            return inquiry_without, more, None
+        for (k, more), gain in zip(trials, gains, strict=True):
+            # A shape may well coincide with a joint's motion: for being reported as a rival it pays no price.
+            if gain + inquiry_without.price[k] > -TIED:
+                for k_named in np.flatnonzero(members):
+                    ties[int(k_named)].append((inquiry_without.causes[k], more, k))
+    return inquiry, maximum, ties
 
 
-def _likeliest(inquiry: _Inquiry, base: Components, own: np.ndarray, worth: float) -> list[tuple[int, float]]:
+def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, worth: float) -> list[tuple[int, float]]:
     """Rivals of a set of named causes, shape (C,) bool, that may be as good, and the variances at which they begin.
 
-    What is asked is aimed at the maximum without the set; ``worth`` is the log-likelihood with it, what it costs taken off.
+    Shapes of the inquiry are fitted at the maximum without the set; ``worth`` is the log-likelihood with it, less its price.
     """
-    asked = asked_for(inquiry.scatter, base)
+    demand = asked_for(inquiry.scatter, base)
     least = max(worth - base.log_likelihood - LOOSE, 0.0)
-    enough = ~own & ~inquiry.second(base) & (asked.normal > max(NEAR * asked.normal.max(), 0.0))
-    most = [int(k) for k in np.argsort(-asked.normal) if enough[k]][:CHALLENGERS]
+    enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR * demand.normal.max(), 0.0))
+    most = [int(k) for k in np.argsort(-demand.normal) if enough[k]][:CHALLENGERS]
     if not most:
         return []
-    gains = promised(inquiry.scatter, base, [np.arange(len(own)) == k for k in most], asked.variance)
-    return [(k, float(asked.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
+    gains = promised(inquiry.scatter, base, [np.arange(len(members)) == k for k in most], demand.variance)
+    return [(k, float(demand.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
 
 
 def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
-    """The final model linearised where it is, at some rows, by standstills: smooth effects by the modes that the data tell."""
+    """The final model linearised at some rows, by standstills; smooth effects by the modes that the data determine."""
     here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
-    y, J, B = map(_together, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
+    y, J, B = map(_concatenated, ([p.r for p in pieces], [p.J for p in pieces], [p.B for p in pieces]))
     index = {name: k for k, name in enumerate(fit.model.names)}
     constant = [k for k, c in enumerate(fit.model.coefficients) if c.basis.constant]
-    wide, (n, m), used = J.reshape(-1, J.shape[2]), y.shape, len(constant)
-    A = np.empty((n * m, used + sum(a.modes.shape[1] for a in active)))
-    A[:, :used], precision = wide[:, constant], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
+    wide, (n, m), filled = J.reshape(-1, J.shape[2]), y.shape, len(constant)
+    A = np.empty((n * m, filled + sum(a.modes.shape[1] for a in active)))
+    A[:, :filled], precision = wide[:, constant], [np.diag((GAUGE * fit.model.sizes[constant]) ** -2.0)]
     for a in active:
-        own = [index[c.name] for c in a.effect.coefficients]
-        side_by_side = own == list(range(own[0], own[0] + len(own)))
-        part_of_J = wide[:, own[0] : own[0] + len(own)] if side_by_side else wide[:, own]
-        column, known = np.matmul(part_of_J, a.modes, out=A[:, used : used + a.modes.shape[1]]), a.precision
+        numbers = [index[c.name] for c in a.effect.coefficients]
+        side_by_side = numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        part_of_J = wide[:, numbers[0] : numbers[0] + len(numbers)] if side_by_side else wide[:, numbers]
+        column = np.matmul(part_of_J, a.modes, out=A[:, filled : filled + a.modes.shape[1]])
+        precision_of_modes = a.precision
         # A prior pulls the modes towards zero.
-        y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[own], rcond=None)[0]).reshape(n, m)
+        y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[numbers], rcond=None)[0]).reshape(n, m)
         if a.effect.smooth:
-            told = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
-            if told.shape[1] < len(told):
-                A[:, used : used + told.shape[1]], known = column @ told, told.T @ known @ told
-        used += len(known)
-        precision.append(known)
-    A = A[:, :used].reshape(n, m, -1)
+            modes = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
+            if modes.shape[1] < len(modes):
+                A[:, filled : filled + modes.shape[1]] = column @ modes
+                precision_of_modes = modes.T @ precision_of_modes @ modes
+        filled += len(precision_of_modes)
+        precision.append(precision_of_modes)
+    A = A[:, :filled].reshape(n, m, -1)
     blocks = np.array([cause.stacked(still) for cause in causes])
-    made = Scatter(still.vectors(y), still.vectors(A), block_diag(*precision), blocks)
-    return with_things(made, part, B, still)
+    scatter = Scatter(still.vectors(y), still.vectors(A), block_diag(*precision), blocks)
+    return with_things(scatter, part, B, still)
 
 
-def _together(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Arrays one behind the other; one alone as it is, for such arrays are large."""
+def _concatenated(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays one behind the other; a single one is not copied, for such arrays are large."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _told(
+def _result(
     inquiry: _Inquiry,
-    found: Components,
+    maximum: Components,
     structured: np.ndarray,
     ties: dict[int, list[Tie]],
-    asked: Problem,
+    question: Problem,
     theta: np.ndarray,
 ) -> NoiseCauses:
-    """The causes in words and figures, and the factors that they give to all rows."""
-    causes, channel = inquiry.causes, inquiry.held
-    noise = (found.variance > 0.0) & ~structured & ~inquiry.rests(structured)
-    relative = _weights(inquiry, found.variance, noise, asked, theta) if (noise & ~channel).any() else None
+    """The causes with their figures and rivals, and the factors that they give all rows."""
+    causes, channel = inquiry.causes, inquiry.is_channel
+    noise = (maximum.variance > 0.0) & ~structured & ~inquiry.rests(structured)
+    relative = _weights(inquiry, maximum.variance, noise, question, theta) if (noise & ~channel).any() else None
     if relative is None:
         noise &= channel
     each = _of_each_joint(causes)
-    variance = each @ np.where(noise, found.variance, 0.0)
-    std = std_of_sigma(variance, each @ np.where(np.outer(noise, noise), found.covariance, 0.0) @ each.T)
-    chosen = np.flatnonzero(variance > 0.0).tolist()
-    made = np.array([_spreads(variance[k] * causes[k].blocks, inquiry.rows) for k in chosen])
-    total = np.maximum(made.sum(axis=0), FLOOR**2)
+    variance = each @ np.where(noise, maximum.variance, 0.0)
+    std = std_of_sigma(variance, each @ np.where(np.outer(noise, noise), maximum.covariance, 0.0) @ each.T)
+    shown = np.flatnonzero(variance > 0.0).tolist()
+    variances = np.array([_variances_of_channels(variance[k] * causes[k].blocks, inquiry.rows) for k in shown])
+    total = np.maximum(variances.sum(axis=0), FLOOR**2)
 
-    def cause(asked: Asked, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
-        value, share = float(np.sqrt(variance)), _spreads(variance * asked.blocks, inquiry.rows) / total
-        return NoiseCause(asked.kind, asked.name, asked.unit, value, float(std), share, asked.shape, rivals)
+    def cause(of: Asked, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
+        value, share = float(np.sqrt(variance)), _variances_of_channels(variance * of.blocks, inquiry.rows) / total
+        return NoiseCause(of.kind, of.name, of.unit, value, float(std), share, of.shape, rivals)
 
     def rivals(k: int) -> tuple[NoiseCause, ...]:
-        accused = np.flatnonzero(each[k] * noise > 0.0).tolist()
-        tied = [tie for own in accused for tie in ties.get(own, [])]
+        components = np.flatnonzero(each[k] * noise > 0.0).tolist()
+        tied = [tie for component in components for tie in ties.get(component, [])]
         return tuple(cause(rival, more.variance[at], more.sigma_std[at]) for rival, more, at in tied)
 
     return NoiseCauses(
-        causes=tuple(cause(causes[k], variance[k], std[k], rivals(k)) for k in chosen),
-        total=np.sqrt(made.sum(axis=0)),
+        causes=tuple(cause(causes[k], variance[k], std[k], rivals(k)) for k in shown),
+        total=np.sqrt(variances.sum(axis=0)),
         structured=tuple((p.kind, p.name) for p, back in zip(causes, structured, strict=True) if back),
         relative=relative,
-        shared=len(inquiry.rows) / inquiry.still.count if any(causes[k].kind == "joint" for k in chosen) else 1.0,
+        shared=len(inquiry.rows) / inquiry.still.count if any(causes[k].kind == "joint" for k in shown) else 1.0,
     )
 
 
 def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
-    """Which components each cause is told with, shape (C, C): what all joints have alike each of them has, beside its own."""
+    """Components that each cause adds up, shape (C, C): a joint has its own, and that of all joints alike."""
     kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
     each = np.eye(len(possible))
     each[kinds == "joints"] = 0.0
@@ -513,27 +518,27 @@ def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
     return each
 
 
-def _spreads(covariance: np.ndarray, rows: Dataset) -> np.ndarray:
+def _variances_of_channels(covariance: np.ndarray, rows: Dataset) -> np.ndarray:
     """Mean variance of each channel per axis, unscaled, shape (C,), from scaled covariances of rows, (n, m, m)."""
     if rows.relative is not None:
         covariance = stretched(rows.relative, stretched(rows.relative, covariance).transpose(0, 2, 1))
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     parts = zip(columns(rows.channels), rows.measures.T, strict=True)
-    return np.array([variance[own][:, part].mean() if own.any() else 0.0 for part, own in parts])
+    return np.array([variance[present][:, part].mean() if present.any() else 0.0 for part, present in parts])
 
 
 def _weights(
-    inquiry: _Inquiry, variance: np.ndarray, noise: np.ndarray, asked: Problem, theta: np.ndarray
+    inquiry: _Inquiry, variance: np.ndarray, noise: np.ndarray, question: Problem, theta: np.ndarray
 ) -> np.ndarray | None:
     """Factors of all rows, shape (N, m, m); None if the causes beyond the channels change too little."""
-    rows = asked.data
-    causes, seen = possible(asked, theta)
-    causes += [shaped(cause.shape, seen) for cause in inquiry.causes if cause.shape is not None]
+    rows = question.data
+    causes, targets = possible(question, theta)
+    causes += [shaped(cause.shape, targets) for cause in inquiry.causes if cause.shape is not None]
     V = np.sum([variance[k] * p.blocks for k, p in enumerate(causes) if noise[k]], axis=0)
-    sigma = np.sqrt(variance[inquiry.held])
+    sigma = np.sqrt(variance[inquiry.is_channel])
     measured, diagonal = there(rows), np.diagonal(V, axis1=1, axis2=2)
-    own = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
-    if float(1.0 - (own[measured] / diagonal[measured]).min()) < MATTERS:
+    of_channels = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
+    if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < MATTERS:
         return None
     typical = rows.declared(sigma)  # a declared noise stays that of all fits, whatever the channel's own part is
     V += np.where(measured, 0.0, spread(typical**2, rows.channels))[:, :, None] * np.eye(V.shape[1])  # stays as it is

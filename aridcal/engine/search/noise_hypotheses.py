@@ -1,4 +1,4 @@
-"""Every cause of noise that can be asked about: which numbers of a row it ties together, and how much it adds to each.
+"""Hypotheses on noise: causes that may scatter rows, and the covariance that each gives the numbers of a row.
 
 Channels, readings, range and lines of sight follow from the model alone. What has a shape
 (:mod:`aridcal.engine.search.noise_shapes`) is aimed anew as long as it is not in the model.
@@ -30,14 +30,14 @@ Kind = Literal["channel", "joint", "joints", "range", "sight", "length", "repeat
 
 @dataclass(frozen=True)
 class Asked:
-    """A cause that may be there.
+    """A possible cause of scatter.
 
     Attributes:
         kind: As of a :class:`NoiseCause` (:mod:`aridcal.engine.search.noise_causes`).
-        name: Likewise.
-        unit: Likewise.
-        root: What it adds to a row's scaled residual per unit of itself, shape (N, m, d): d independent numbers.
-        shape: What it lies along, where that is not the model's alone to say.
+        name: As of a :class:`NoiseCause`.
+        unit: As of a :class:`NoiseCause`.
+        root: Scaled residual of each row per unit of the cause's d independent errors, shape (N, m, d).
+        shape: Direction, point or lever of the cause; None where the model alone determines ``root``.
     """
 
     kind: Kind
@@ -58,13 +58,13 @@ class Asked:
 
     @property
     def parts(self) -> tuple[Asked, ...]:
-        """What of it may come back by itself: each joint."""
+        """Causes of which each may repeat at neighbouring rows: the joints of ``joints`` one by one, else the cause itself."""
         if self.kind != "joints":
             return (self,)
         return tuple(replace(self, root=self.root[:, :, k : k + 1]) for k in range(self.root.shape[2]))
 
     def stacked(self, still: Stack) -> np.ndarray:
-        """The same of standstills, shape (S, M, M)."""
+        """Covariance of each standstill per unit of its variance, shape (S, M, M)."""
         if not self.common:
             return still.matrices(self.blocks)
         root = still.vectors(self.root)
@@ -77,32 +77,32 @@ def there(rows: Dataset) -> np.ndarray:
 
 
 def possible(question: Problem, theta: np.ndarray) -> tuple[list[Asked], Seen]:
-    """Every cause that follows from the model alone, no row's residual looked at; and where the targets are."""
+    """Every cause that the model alone determines, without the residuals; and the poses of the targets."""
     rows, model = question.data, question.model
     at = np.concatenate([theta, np.zeros(len(model.own_motions))])
     more = problem(model.with_motions(model.own_motions), rows).settled(at)
     J = moved_by(more, at, len(model.own_motions))
-    own = there(rows)[:, :, None] * np.eye(J.shape[1])
+    units = there(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
-    found = [Asked("channel", channel.name, channel.unit, own[:, :, part]) for channel, part in parts]
+    causes = [Asked("channel", channel.name, channel.unit, units[:, :, part]) for channel, part in parts]
     moved = J @ model.robot.factors
     for k, (reading, kind) in enumerate(zip(model.robot.readings, model.robot.kinds, strict=True)):
-        found.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
+        causes.append(Asked("joint", reading, "m" if kind == "prismatic" else "rad", moved[:, :, k, None]))
     turning = np.array([kind != "prismatic" for kind in model.robot.kinds])
     if turning.sum() > 1:
-        found.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
+        causes.append(Asked("joints", ALL_ALIKE, "rad", moved[:, :, turning]))
     R, p = more.model.poses(at, more.rows)
-    for what, name, unit, root in _of_instruments(rows, p, own):
-        found.append(Asked(what, name, unit, scaled(root, rows.relative)))
-    return found, _seen(rows, R, p, own)
+    for what, name, unit, root in _roots_of_instruments(rows, p, units):
+        causes.append(Asked(what, name, unit, scaled(root, rows.relative)))
+    return causes, _targets(rows, R, p, units)
 
 
-def _seen(rows: Dataset, R: np.ndarray, p: np.ndarray, own: np.ndarray) -> Seen:
+def _targets(rows: Dataset, R: np.ndarray, p: np.ndarray, units: np.ndarray) -> Seen:
     """Places and attitudes of the targets, and the axes of all channels that measure these in the world."""
     axes, turned = {}, {}
     for block, channel, part in _channels(rows):
         if block.traits.tracked and channel.axes in (TARGET_POSITION.axes, TARGET_ROTATION.axes):
-            axes[channel.name] = scaled(own[:, :, part], rows.relative)
+            axes[channel.name] = scaled(units[:, :, part], rows.relative)
     for block in rows.blocks:
         name = {channel.axes: channel.name for channel in block.channels}
         if block.traits.tracked and {TARGET_POSITION.axes, TARGET_ROTATION.axes} <= name.keys():
@@ -116,29 +116,31 @@ def _channels(rows: Dataset) -> Iterator[tuple[Block, Channel, slice]]:
     yield from zip(blocks, rows.channels, columns(rows.channels), strict=True)
 
 
-def shaped(shape: Shape, seen: Seen) -> Asked:
-    """Noise of a shape as a cause."""
-    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, seen), shape)
+def shaped(shape: Shape, targets: Seen) -> Asked:
+    """Noise of a shape as a possible cause."""
+    return Asked(shape.kind, shape.channel, shape.unit, noise_shapes.root(shape, targets), shape)
 
 
-def _of_instruments(rows: Dataset, p: np.ndarray, own: np.ndarray) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
-    """What instruments would add: kind, channel, unit, and root of the covariance, shape (N, m, d).
+def _roots_of_instruments(
+    rows: Dataset, p: np.ndarray, units: np.ndarray
+) -> Iterator[tuple[Kind, str, str, np.ndarray]]:
+    """Causes of instruments: kind, channel, unit, and root of the covariance, shape (N, m, d).
 
-    The model has the targets at p, shape (N, 3), [m]; ``own`` are unit vectors of the numbers that each row measures, (N, m, m).
+    The model has the targets at p, shape (N, 3), [m]; ``units`` are unit vectors of the numbers of each row, (N, m, m).
     """
     away = np.linalg.norm(p, axis=1)
     for block, channel, part in _channels(rows):
         tracked = block.traits.tracked
         # Poses and positions are measured from the origin of the world frame, if from anywhere; other kinds are not.
         if tracked and channel.axes == TARGET_POSITION.axes:
-            yield "range", channel.name, "m/m", away[:, None, None] * own[:, :, part]
+            yield "range", channel.name, "m/m", away[:, None, None] * units[:, :, part]
         if tracked and channel.axes == TARGET_ROTATION.axes:
             sight = p / np.maximum(away, FLOOR)[:, None]
-            yield "sight", channel.name, "rad", own[:, :, part] @ sight[:, :, None]
+            yield "sight", channel.name, "rad", units[:, :, part] @ sight[:, :, None]
         if block.traits.ranges:
-            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * own[:, :, part]
-        if rows.relative is not None and not np.allclose(scaled(own[:, :, part], rows.relative), own[:, :, part]):
-            yield "repeatability", channel.name, channel.unit, own[:, :, part]
+            yield "length", channel.name, "m/m", np.abs(np.nan_to_num(rows.observed[:, :1, None])) * units[:, :, part]
+        if rows.relative is not None and not np.allclose(scaled(units[:, :, part], rows.relative), units[:, :, part]):
+            yield "repeatability", channel.name, channel.unit, units[:, :, part]
 
 
 def stretched(relative: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,8 +1,7 @@
-"""Is what remains noise? Repeats, neighbours, order, jumps and the stated noise, each asked on its own.
+"""Is the residual noise? Tests of repeats, neighbours, order, jumps and the declared noise, each by itself.
 
-What moves with the base looks alike in world axes, what moves with the target in the target's, and what a joint's zero does
-only as that joint's own motion. So neighbours, order and jumps are asked in all of these, and the answer is the clearest of
-them, corrected for their number.
+Errors of the base are alike in world axes, errors of the target in the target's, and an error of a joint only along that joint's
+own motion. So neighbours, order and jumps are tested in all of these views; the clearest counts, corrected for their number.
 """
 
 from __future__ import annotations
@@ -68,11 +67,11 @@ Question = Literal[
 
 @dataclass(frozen=True)
 class View:
-    """Residuals as something may have moved: in some axes, or along one joint's own motion.
+    """Residuals in some axes, or along one joint's own motion.
 
     Attributes:
-        words: Which, for messages.
-        white: In sigmas, shape (N, k).
+        words: The axes or the joint, for messages.
+        white: Residuals in sigmas, shape (N, k).
     """
 
     words: str
@@ -81,13 +80,13 @@ class View:
 
 @dataclass(frozen=True)
 class Clue:
-    """One question to the residual.
+    """The result of one test of the residual.
 
     Attributes:
-        question: Which.
-        what: In words.
-        share: Of the remaining variance that it shows to be repeatable, 0 to 1.
-        p_value: If the residual were white.
+        question: The test.
+        what: The structure that it looks for, in words.
+        share: Share of the residual's variance that is structure, 0 to 1.
+        p_value: Chance of so clear a result if the residual were white.
     """
 
     question: Question
@@ -97,7 +96,7 @@ class Clue:
 
     @property
     def tells(self) -> bool:
-        """True if it shows structure worth a word."""
+        """True if the test shows structure worth a word."""
         return self.p_value < SURE and self.share > LEAST
 
 
@@ -109,41 +108,43 @@ def clues(
     fit: Fit | None = None,
     progress: Progress = SILENT,
 ) -> list[Clue]:
-    """Ask whether residuals are white.
+    """Tests of whether residuals are white.
 
     Args:
-        rows: The rows in use; their declared noise is asked about too.
-        residual: Theirs, scaled by their relative sigmas, shape (N, m).
+        rows: The rows in use; their declared noise is tested, too.
+        residual: Of each row, scaled by its relative sigmas, shape (N, m).
         repeats: Scatter of repeated configurations, if there are any.
         freedom: Share of the numbers that is left after fitting, 0 to 1.
-        fit: The model, for the target's axes and the joints' motions; without it, world axes are all that is asked.
-        progress: Told how often the rows are shuffled.
+        fit: The model, for the target's axes and the joints' motions; None: world axes alone are tested.
+        progress: Called with the number of shuffles.
     """
     sigma = rms_of_channels(residual, rows)
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
-    found = [_repeated(repeats, sigma)] if repeats is not None else []
+    clues_found = [_repeats(repeats, sigma)] if repeats is not None else []
     if len(white) > FEWEST:
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
         views = [View("in world axes", white[some]), *others]
-        found.append(_neighbours(views, part.readings))
+        clues_found.append(_neighbours(views, part.readings))
         each = "measurements" if "time" in part.covariates else "rows"
         order = part.sequence
-        found.append(_alike("order", f"consecutive {each} have similar residuals", views, order[:-1], order[1:]))
-        found += _changes(views, part, progress)
+        clues_found.append(
+            _correlation("order", f"consecutive {each} have similar residuals", views, order[:-1], order[1:])
+        )
+        clues_found += _changes(views, part, progress)
     if not rows.direct:
-        found += _of_one_thing(rows, white)
-    return found + _stated(rows, sigma, freedom)
+        clues_found += _things(rows, white)
+    return clues_found + _declared_noise(rows, sigma, freedom)
 
 
 def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
-    """Numbers of all rows, or of many those of :data:`STRETCHES` stretches on end that are spread evenly, ascending.
+    """Ascending row numbers: all, or of many rows :data:`STRETCHES` stretches on end, spread evenly.
 
     Args:
         sequence: Numbers of the N rows in the order of measurement, shape (N,).
-        most: How many rows.
+        most: Rows at the most.
     """
     if len(sequence) <= most:
         return np.arange(len(sequence))
@@ -152,61 +153,63 @@ def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
     return np.sort(sequence[(first[:, None] + np.arange(length)).ravel()])
 
 
-def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
-    """Does a thing leave more than the others: a marker that is not where its table says, a socket that came loose?
+def _things(rows: Dataset, white: np.ndarray) -> list[Clue]:
+    """Are the residuals of a thing larger than the others': a marker that is not where its table says, a loose socket?
 
     Squares of its rows against those of all others by their ranks (Mann and Whitney 1947), which long tails do not upset.
     """
     roles = [labelled(block.kind) for block in rows.blocks]
-    told = np.array([bool(own) for own in roles])[rows.labels.block]
+    labelled_row = np.array([bool(of) for of in roles])[rows.labels.block]
     names = np.where(
-        rows.labels.refers[:, 2] != "", rows.labels.refers[:, 2], np.where(told, rows.labels.refers[:, 0], "")
+        rows.labels.refers[:, 2] != "", rows.labels.refers[:, 2], np.where(labelled_row, rows.labels.refers[:, 0], "")
     )
-    title = np.array([own[-1].name if own else block.name for own, block in zip(roles, rows.blocks, strict=True)])
+    title = np.array([of[-1].name if of else block.name for of, block in zip(roles, rows.blocks, strict=True)])
     labels, thing = np.unique(np.char.add(np.char.add(title[rows.labels.block], " "), names), return_inverse=True)
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
-    count, own = np.bincount(thing), np.bincount(thing, square)
-    asked = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
-    if not asked:
+    count, square_sum = np.bincount(thing), np.bincount(thing, square)
+    candidates = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
+    if not candidates:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it
 
-    found = []
-    for k in asked:
+    clues_of_things = []
+    for k in candidates:
         here = thing == k
         chance = float(mannwhitneyu(square[here], square[~here], alternative="greater").pvalue)
         rest = float(np.mean(square[~here]))
-        share = float(np.clip((own[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
-        ratio = np.sqrt(own[k] / count[k] / max(rest, TINY))
+        share = float(np.clip((square_sum[k] - count[k] * rest) / max(float(square.sum()), TINY), 0.0, 1.0))
+        ratio = np.sqrt(square_sum[k] / count[k] / max(rest, TINY))
         what = f"rows of {labels[k]} leave {ratio:.2g} times as much as the others: is it where it is said to be?"
-        found.append(Clue("thing", what, share, min(1.0, len(asked) * chance)))
-    return [min(found, key=lambda clue: clue.p_value)]
+        clues_of_things.append(Clue("thing", what, share, min(1.0, len(candidates) * chance)))
+    return [min(clues_of_things, key=lambda clue: clue.p_value)]
 
 
 def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
     """RMS of each channel over the rows that measure it, shape (C,), from residuals of shape (N, m); FLOOR where none does."""
     parts = zip(columns(rows.channels), rows.measures.T, strict=True)
-    return np.array([np.sqrt(np.mean(residual[own][:, part] ** 2)) if own.any() else FLOOR for part, own in parts])
+    return np.array(
+        [np.sqrt(np.mean(residual[present][:, part] ** 2)) if present.any() else FLOOR for part, present in parts]
+    )
 
 
 def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
-    """Residuals in the target's axes, and as each joint's own motion.
+    """Residuals in the target's axes, and along each joint's own motion.
 
     With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
     and of variance 1 if r is.
     """
     robot = fit.model.robot
-    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    question = problem(fit.model.with_motions(fit.model.own_motions), rows)
     theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
     scale = spread(sigma, rows.channels)
     views = []
     if all(channel.axes == ("x", "y", "z") or channel.axes == ("rx", "ry", "rz") for channel in rows.channels):
-        R, _ = asked.model.poses(theta, asked.rows)
+        R, _ = question.model.poses(theta, question.rows)
         parts = columns(rows.channels)
         turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
         views.append(View("in the target's axes", turned / scale))
-    J = moved_by(asked, theta, len(robot.joints)) / scale[:, None]
+    J = moved_by(question, theta, len(robot.joints)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
@@ -216,8 +219,8 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     return views
 
 
-def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
-    """Repeats know the noise and nothing of the model: what the residual has beyond their scatter repeats."""
+def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
+    """Is the residual larger than the scatter of repeats, which is the noise without errors of the model?"""
     numbers = float(repeats.freedom.sum())
     share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
     p_value = float(chdtr(numbers, numbers * (1.0 - share)))
@@ -227,8 +230,10 @@ def _repeated(repeats: Repeats, sigma: np.ndarray) -> Clue:
 def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike?"""
     rows, others = _nearest(readings)
-    apart = rows != others  # of rows that are all alike, the row itself need not be the first
-    return _alike("neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart])
+    apart = rows != others  # among equal rows the nearest need not be the row itself
+    return _correlation(
+        "neighbours", "neighbouring configurations have similar residuals", views, rows[apart], others[apart]
+    )
 
 
 def neighbours(rows: Dataset) -> list[np.ndarray]:
@@ -237,19 +242,19 @@ def neighbours(rows: Dataset) -> list[np.ndarray]:
     In time (as they stand, where there is no time), along every reading, and in all readings at once, where repeats are
     nearest.
     """
-    along = [np.argsort(q, kind="stable") for q in rows.readings.T[_moves(rows.readings)]]
+    along = [np.argsort(q, kind="stable") for q in rows.readings.T[_moving_joints(rows.readings)]]
     nearest = np.sort(np.column_stack(_nearest(rows.readings)), axis=1)
     return [*map(_successors, [rows.sequence, *along]), np.unique(nearest, axis=0)]
 
 
-def _moves(readings: np.ndarray) -> np.ndarray:
-    """Which joints are not always at the same reading, shape (columns,) bool."""
+def _moving_joints(readings: np.ndarray) -> np.ndarray:
+    """Joints that are not always at the same reading, shape (columns,) bool."""
     return np.asarray(readings.std(axis=0) > FLOOR)
 
 
 def _nearest(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each row, and its :data:`NEIGHBOURS` nearest, in standard deviations of each joint's readings, shape (pairs,) each."""
-    points = readings[:, _moves(readings)]
+    points = readings[:, _moving_joints(readings)]
     points = points / points.std(axis=0)
     near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
     return np.repeat(np.arange(len(points)), NEIGHBOURS), near.ravel()
@@ -260,15 +265,15 @@ def _successors(order: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
-def _alike(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
-    """Correlation of pairs of rows, the first and the second of each, shape (pairs,), against what it is in all their orders."""
+def _correlation(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+    """Correlation of pairs of rows, first and second of each, shape (pairs,), against its distribution over all orders."""
     white, starts = _side_by_side(views)
-    seen = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
+    sums = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
     mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
-    z = (seen - mean) / np.maximum(deviation, TINY)
+    z = (sums - mean) / np.maximum(deviation, TINY)
     best = int(np.argmax(z))
     p_value = min(1.0, len(views) * float(ndtr(-z[best])))
-    share = seen[best] / (len(first) * views[best].white.shape[1])
+    share = sums[best] / (len(first) * views[best].white.shape[1])
     return Clue(question, f"{what} {views[best].words}", float(np.clip(share, 0.0, 1.0)), p_value)
 
 
@@ -293,9 +298,9 @@ def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[flo
     _, times = np.unique(np.minimum(first, second) * n + np.maximum(first, second), return_counts=True)
     count = 0.5 * (np.bincount(first, minlength=n) + np.bincount(second, minlength=n))
     T0, T1, T2 = float(len(first)), 0.5 * float(times @ times), float(count @ count)
-    own, total = np.einsum("nm,nm->n", x, x), x.sum(axis=0)
-    of_row = x @ total - own
-    U0, U1, U2 = float(of_row.sum()), float(np.sum((x.T @ x) ** 2) - own @ own), float(of_row @ of_row)
+    squares, total = np.einsum("nm,nm->n", x, x), x.sum(axis=0)
+    of_row = x @ total - squares
+    U0, U1, U2 = float(of_row.sum()), float(np.sum((x.T @ x) ** 2) - squares @ squares), float(of_row @ of_row)
     pairs, threes, fours = n * (n - 1.0), n * (n - 1.0) * (n - 2.0), n * (n - 1.0) * (n - 2.0) * (n - 3.0)
     mean = T0 * U0 / pairs
     square = 2.0 * T1 * U1 / pairs + 4.0 * (T2 - T1) * (U2 - U1) / threes
@@ -304,7 +309,7 @@ def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[flo
 
 
 def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
-    """All views in one array, shape (N, columns), and where each begins."""
+    """All views in one array, shape (N, columns), and the first column of each."""
     sizes = [view.white.shape[1] for view in views]
     return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
 
@@ -314,11 +319,11 @@ def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[C
     sequence = rows.sequence
     by_file = sequence[np.argsort(rows.origin.file[sequence], kind="stable")]
     orders = [by_file] if np.array_equal(by_file, sequence) else [by_file, sequence]
-    found = []
+    clues_of_orders = []
     for order in orders:
         words = "" if np.array_equal(order, rows.as_read) else " in the order of time"
-        found.append(_change(views, rows, order, words, progress))
-    return found
+        clues_of_orders.append(_change(views, rows, order, words, progress))
+    return clues_of_orders
 
 
 def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
@@ -347,7 +352,7 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
         return (squares[part].sum(axis=0) / weight for part in parts)
 
     steps = [step[0] for step in statistics(order[None])]
-    seen = np.array([step.max() for step in steps])
+    largest = np.array([step.max() for step in steps])
     each, drawn = max(TOGETHER // white.size, 1), []
     for first in progress.over(range(0, SHUFFLES, each), "shuffles of the rows"):
         orders = np.array([rng.permutation(n) for _ in range(min(each, SHUFFLES - first))])
@@ -355,23 +360,25 @@ def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str,
     shuffled = np.concatenate(drawn)
     scale = np.maximum(shuffled.std(axis=0), 1e-12) * np.sqrt(6.0) / np.pi
     place = shuffled.mean(axis=0) - np.euler_gamma * scale
-    chances = -np.expm1(-np.exp((place - seen) / scale))
+    chances = -np.expm1(-np.exp((place - largest) / scale))
     best = int(np.argmin(chances))
     total = float(np.sum(views[best].white ** 2))
-    share = float(np.clip((seen[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
+    share = float(np.clip((largest[best] - shuffled[:, best].mean()) / total, 0.0, 1.0))
     k = int(before[np.argmax(steps[best])])
     last, following = rows.origin.line[order[k - 1 : k + 1]]
     what = f"residuals jump between rows {last} and {following}{words}, {views[best].words}"
     return Clue("change", what, share, min(1.0, len(views) * float(chances[best])))
 
 
-def _stated(rows: Dataset, sigma: np.ndarray, freedom: float) -> list[Clue]:
+def _declared_noise(rows: Dataset, sigma: np.ndarray, freedom: float) -> list[Clue]:
     """Is the residual larger than the declared noise? A share ``freedom`` of the numbers is left after fitting."""
-    found = []
-    for channel, stated, seen, own in zip(rows.channels, rows.sigma, sigma, rows.measures.T, strict=True):
-        if stated:
-            numbers, ratio = channel.size * float(own.sum()) * freedom, seen / stated
+    clues_of_channels = []
+    for channel, declared, shown, present in zip(rows.channels, rows.sigma, sigma, rows.measures.T, strict=True):
+        if declared:
+            numbers, ratio = channel.size * float(present.sum()) * freedom, shown / declared
             share = float(np.clip(1.0 - ratio**-2, 0.0, 1.0))
             p_value = float(chdtrc(numbers, numbers * ratio**2))
-            found.append(Clue("declared", f"the residual exceeds the declared {channel.name} noise", share, p_value))
-    return found
+            clues_of_channels.append(
+                Clue("declared", f"the residual exceeds the declared {channel.name} noise", share, p_value)
+            )
+    return clues_of_channels

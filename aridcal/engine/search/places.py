@@ -1,4 +1,4 @@
-"""Rows of one place that err alike are a rival of all effects: what is found must show beside that."""
+"""Scatter of places, by which rows of one place err alike: a rival of all effects, which must show beside it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CLEARLY = 20.0
 
 
 def scatter_of(train: Dataset) -> tuple[Effect, ...]:
-    """What rows of one place may err by alike; nothing where rows do not lie in places, or see things."""
+    """Effects by which rows of one place may err alike; none where rows do not lie in places, or refer to things."""
     if not train.direct:
         return ()
     place = held_together(train)
@@ -35,28 +35,28 @@ def scatter_of(train: Dataset) -> tuple[Effect, ...]:
 
 
 def has_scatter(state: State) -> bool:
-    """True if places scatter in a model."""
+    """True if the scatter of places is in a model."""
     return any(is_scatter(a.effect) for a in state.active)
 
 
 def without_scatter(state: State) -> State:
-    """The model whose places do not scatter."""
+    """The model without the scatter of places."""
     rest = [a for a in state.active if not is_scatter(a.effect)]
     return state if len(rest) == len(state.active) else state.with_active(rest)
 
 
 def with_scatter(state: State, scatter: tuple[Effect, ...]) -> State:
-    """The model with the scatter of places, its size found anew beside all effects; without what is not clear.
+    """The model with the scatter of places, its size estimated anew beside all effects; without it where it is not clear.
 
     Args:
         state: The model as it is.
-        scatter: What may be in it; see :func:`scatter_of`.
+        scatter: Effects that may be in it; see :func:`scatter_of`.
     """
     for effect in scatter:
         if any(a.effect == effect for a in state.active):
             state = without_effect(state, effect)
-        found = score_of(state, effect)
-        if found.gain >= CLEARLY:
-            kept = replace(activate(state, effect, found), stated=True)  # a nuisance: no gate judges it
-            state = state.with_active((*state.active, kept), noise_with(state, found))
+        score = score_of(state, effect)
+        if score.gain >= CLEARLY:
+            scattering = replace(activate(state, effect, score), declared=True)  # a nuisance: no gate judges it
+            state = state.with_active((*state.active, scattering), noise_with(state, score))
     return state

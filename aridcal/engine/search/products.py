@@ -1,7 +1,7 @@
-r"""Products of a linearised model's columns, each made once: what every trial of a search is put together from.
+r"""Products of a linearised model's columns, each computed once: the sums from which every trial of a search is solved.
 
-A search solves and scores the same columns hundreds of times, in other company and with other noise. With :math:`X_e` the
-columns of an effect (or of the constants), all sums that this needs are
+A search solves and scores the same columns hundreds of times, beside other effects and with other noise. With :math:`X_e` the
+columns of an effect (or of the constants), all sums that it needs are
 
 .. math:: \sum_{n \in f, c} X_e^T X_{e'}, \qquad \sum_{n \in f, c} X_e^T r
 
@@ -45,7 +45,7 @@ LIMBS = 16
 MEMBERS = 24
 """Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
-# What stands in the design: an effect (None: the constants) and the modes that are solved for, shape (d, modes).
+# A member of the design: an effect (None: the constants) and the modes that are its unknowns, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]
 
 # Numbers of each channel under one another: (N size, d) or (N size,) each.
@@ -54,7 +54,7 @@ Flat = tuple[np.ndarray, ...]
 
 @dataclass(frozen=True)
 class Source:
-    """Where columns come from; rows in the order of the folds.
+    """Functions that make columns; rows in the order of the folds.
 
     Attributes:
         make: Columns of effects side by side, of all rows or of those at some places.
@@ -75,7 +75,7 @@ class Layout:
 
     Attributes:
         channels: What each row measures.
-        order: Row at each place, shape (N,).
+        order: Number of the row at each place, shape (N,).
         starts: First place of each fold, and the end, shape (F + 1,).
     """
 
@@ -85,7 +85,7 @@ class Layout:
 
     @classmethod
     def of(cls, fold: np.ndarray, channels: Channels) -> Layout:
-        """Of rows with folds of shape (N,)."""
+        """The layout of rows whose folds are numbered, shape (N,)."""
         order = np.argsort(fold, kind="stable")
         different = np.unique(fold)
         return cls(channels, order, np.append(np.searchsorted(fold[order], different), len(fold)))
@@ -98,7 +98,7 @@ class Layout:
         return tuple(ordered[:, part].reshape(len(ordered) * channel.size, *tail) for channel, part in parts)
 
     def by_row(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """What :meth:`flat` made, rows in their own order, shape (N, m, d)."""
+        """The columns that :meth:`flat` took apart, rows in their own order, shape (N, m, d)."""
         rows = len(self.order)
         ordered = np.concatenate([x.reshape(rows, len(x) // rows, x.shape[1]) for x in parts], axis=1)
         values = np.empty_like(ordered)
@@ -106,11 +106,11 @@ class Layout:
         return values
 
     def stretches(self, size: int) -> list[slice]:
-        """Numbers of each fold in a channel of so many numbers a row."""
+        """Stretch of each fold in a channel of ``size`` numbers a row."""
         return [slice(low, high) for low, high in pairwise((self.starts * size).tolist())]
 
     def numbers(self, places: np.ndarray) -> list[np.ndarray]:
-        """Numbers of some rows in each channel, from the rows' places."""
+        """Indices of some rows' numbers in each channel, from the rows' places."""
         sizes = [channel.size for channel in self.channels]
         return [(places[:, None] * size + np.arange(size)).ravel() for size in sizes]
 
@@ -121,17 +121,17 @@ class Chunk:
 
     Attributes:
         effects: The candidates.
-        own: X'X, shape (C, w, w), of columns that are far apart 0: no two candidates are asked about together; of a grid each
+        gram: X'X, shape (C, w, w), left 0 far off the diagonal, as no two candidates are scored together; of a grid each
             candidate's own, shape (C, candidates, d, d).
         pull: X'r, shape (C, w).
-        across: X'Y for the columns Y of what stands in the design (None: the constants), shape (C, w, d) each.
+        across: X'Y for the columns Y of members of the design (None: the constants), shape (C, w, d) each.
         columns: X itself, where there is room for it.
         rows: Places in the order of the folds outside of which X is zero: those of a limb; None for all.
-        grid: What makes them, if they are one.
+        grid: The grid of the candidates, if they are one.
     """
 
     effects: tuple[Effect, ...]
-    own: np.ndarray
+    gram: np.ndarray
     pull: np.ndarray
     across: dict[Effect | None, np.ndarray]
     columns: Flat | None
@@ -141,12 +141,12 @@ class Chunk:
     def of_one(self, where: slice) -> np.ndarray:
         """X'X of one candidate, shape (C, d, d)."""
         if self.grid is None:
-            return self.own[:, where, where]
-        return np.asarray(self.own[:, where.start // (where.stop - where.start)])
+            return self.gram[:, where, where]
+        return np.asarray(self.gram[:, where.start // (where.stop - where.start)])
 
 
 class Products:
-    """What was multiplied so far of one linearised model."""
+    """Cache of products of one linearised model's columns."""
 
     def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
         """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
@@ -167,9 +167,9 @@ class Products:
         self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
-        """The same, columns made by a model that has further bases."""
+        """These products, columns now made by a model that has further bases."""
         self._source = source
-        self._local.clear()  # known by numbers, which may mean other functions there
+        self._local.clear()  # keys are numbers of functions, which are others there
         self._moved.clear()
         self._moving.clear()
         return self
@@ -179,19 +179,19 @@ class Products:
         return self._source.make(effects, None)
 
     def now_in_the_model(self, members: Sequence[Member]) -> None:
-        """Forget what was in the model longest ago, if more is kept than there is room for."""
+        """Note the members of the present model, and forget those used longest ago if there is no room for all."""
         for effect, _ in members:
             if effect is not None:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
         if len(self._solved) > len(members) ** 2:
             now = {id(modes) for _, modes in members}
-            self._solved = {key: made for key, made in self._solved.items() if now.issuperset(key)}
+            self._solved = {key: products for key, products in self._solved.items() if now.issuperset(key)}
         most = max(MEMBERS, len(members))
         for old in list(self._known)[: max(len(self._known) - most, 0)]:
             self._forget(old)
 
     def forget(self) -> None:
-        """Keep nothing: no more is asked."""
+        """Free all memory but the constants': no trial is to come."""
         for effect in list(self._known):
             self._forget(effect)
         self._solved.clear()
@@ -205,15 +205,15 @@ class Products:
         for of_one in (self._columns, self._pull):
             of_one.pop(effect, None)
         of_several: tuple[dict[Any, Any], ...] = (self._between, self._ordered, self._of_limbs)
-        for made in of_several:
-            for key in [key for key in made if effect in key]:
-                del made[key]
+        for products in of_several:
+            for key in [key for key in products if effect in key]:
+                del products[key]
         for chunk in {id(chunk): chunk for chunk, _ in self._place.values()}.values():
             if effect in chunk.across:
                 self._kept -= chunk.across.pop(effect).size
 
     def in_order(self, of: str, order: np.ndarray, member: Effect | None) -> np.ndarray:
-        """Columns of what is in the model, rows in another order, that of a covariate, shape (N, m, d); they are kept."""
+        """Columns of a member, rows in the order of the covariate ``of``, shape (N, m, d); they are kept."""
         if (of, member) not in self._ordered:
             place = np.argsort(self.layout.order)[order]
             parts = [x.reshape(len(place), -1, x.shape[1])[place] for x in self.columns(member)]
@@ -229,28 +229,28 @@ class Products:
         return self._columns[of]
 
     def between(self, a: Effect | None, b: Effect | None) -> np.ndarray:
-        """Products of two such, shape (F, C, da, db)."""
+        """Products of the columns of two members, shape (F, C, da, db)."""
         if (a, b) not in self._between:
-            left, right = self._as_grid(a), self._as_grid(b)
-            if left is not None:
-                made = self._folds_of_grid(left, self.columns(b) if right is None else right)
-            elif right is not None:
-                made = self._folds_of_grid(right, self.columns(a)).transpose(0, 1, 3, 2)
+            grid_a, grid_b = self._as_grid(a), self._as_grid(b)
+            if grid_a is not None:
+                products = self._folds_of_grid(grid_a, self.columns(b) if grid_b is None else grid_b)
+            elif grid_b is not None:
+                products = self._folds_of_grid(grid_b, self.columns(a)).transpose(0, 1, 3, 2)
             else:
-                made = self._folds(self.columns(a), self.columns(b))
-            self._between[a, b] = made
-            self._between[b, a] = made.transpose(0, 1, 3, 2)
+                products = self._folds(self.columns(a), self.columns(b))
+            self._between[a, b] = products
+            self._between[b, a] = products.transpose(0, 1, 3, 2)
         return self._between[a, b]
 
     def in_modes(self, a: Member, b: Member) -> np.ndarray:
-        """The same of what is solved for, shape (F, C, modes of a, modes of b): most of it stays from trial to trial."""
+        """Products of two members' modes, shape (F, C, modes of a, modes of b): most stay from trial to trial."""
         key = id(a[1]), id(b[1])
         if key not in self._solved:  # kept with the modes themselves, so that no other array gets their identity
             self._solved[key] = a[1], b[1], np.ascontiguousarray(a[1].T) @ self.between(a[0], b[0]) @ b[1]
         return self._solved[key][2]
 
     def pull(self, of: Effect | None) -> np.ndarray:
-        """Products with the residual, shape (F, C, d)."""
+        """Products of a member's columns with the residual, shape (F, C, d)."""
         if of not in self._pull:
             self._pull[of] = self._folds(self.columns(of), self.r)
         return self._pull[of]
@@ -258,38 +258,40 @@ class Products:
     def _folds(self, X: Flat, Y: Flat) -> np.ndarray:
         """Products of columns fold by fold, shape (F, C, ...)."""
         stretches = zip(*(self.layout.stretches(channel.size) for channel in self.layout.channels), strict=True)
-        return np.array([[x[own].T @ y[own] for x, y, own in zip(X, Y, fold, strict=True)] for fold in stretches])
+        return np.array([[x[part].T @ y[part] for x, y, part in zip(X, Y, fold, strict=True)] for fold in stretches])
 
     def _folds_of_grid(self, grid: Grid, Y: Flat | Grid) -> np.ndarray:
         """Products of a grid's columns with others, fold by fold, shape (F, C, w, d)."""
-        made = []
+        per_fold = []
         for low, high in pairwise(self.layout.starts.tolist()):
             if isinstance(Y, Grid):
-                made.append(grid.part(low, high).across_grid(Y.part(low, high)))
+                per_fold.append(grid.part(low, high).across_grid(Y.part(low, high)))
             else:
-                own = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
-                made.append(grid.part(low, high).across(own))
-        return np.array(made)
+                parts = [y[low * c.size : high * c.size] for y, c in zip(Y, self.layout.channels, strict=True)]
+                per_fold.append(grid.part(low, high).across(parts))
+        return np.array(per_fold)
 
     def _as_grid(self, member: Effect | None) -> Grid | None:
         """The one slot and the functions on knots that make an effect's columns; None if they are not so made."""
-        taken = None if member is None else self._source.apart(member)
-        functions = None if taken is None or len(taken[0]) > 1 else self._functions(taken[1])
-        return None if taken is None or functions is None else grid_of(*self._slots(taken[0]), functions)
+        factors = None if member is None else self._source.apart(member)
+        functions = None if factors is None or len(factors[0]) > 1 else self._functions(factors[1])
+        return None if factors is None or functions is None else grid_of(*self._slots(factors[0]), functions)
 
     def chunks(self, effects: Sequence[Effect]) -> Iterator[Chunk]:
-        """Chunks in which some candidates are, made where they are not yet, and kept as long as there is room."""
+        """Chunks that hold some candidates, computed where there is none yet, and kept as long as there is room."""
         places = [self._place.get(e) for e in effects]
         new = [e for e, place in zip(effects, places, strict=True) if place is None]
         yield from {id(place[0]): place[0] for place in places if place is not None}.values()
         grids, others = self._grids(new)
         of_grids = (self._grid(*grid) for grid in grids)
-        for chunk in chain(of_grids, (self.chunk(group, rows) for rows, own in others for group in grouped(own))):
-            if self._room(chunk.own.size):
+        for chunk in chain(
+            of_grids, (self.chunk(group, rows) for rows, members in others for group in grouped(members))
+        ):
+            if self._room(chunk.gram.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
-                kept = chunk if room else replace(chunk, columns=None)
-                for effect, own in placed(chunk.effects):
-                    self._place[effect] = kept, own
+                stored = chunk if room else replace(chunk, columns=None)
+                for effect, part in placed(chunk.effects):
+                    self._place[effect] = stored, part
             yield chunk
 
     def _functions(self, bases: tuple[int, ...]) -> Local | None:
@@ -315,13 +317,15 @@ class Products:
             moved[effect] = self._rows_moved(slots)
             if effect.smooth and len(slots) == 1:
                 alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
-        grids = [(b, own) for (b, _), own in alike.items() if len(own) >= GRID and self._functions(b) is not None]
+        grids = [
+            (b, members) for (b, _), members in alike.items() if len(members) >= GRID and self._functions(b) is not None
+        ]
         others: dict[bytes, list[Effect]] = {}
-        of_grids = {effect for _, own in grids for effect in own}
+        of_grids = {effect for _, members in grids for effect in members}
         for effect in effects:
             if effect not in of_grids:
                 others.setdefault(moved[effect], []).append(effect)
-        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, own) for key, own in others.items()]
+        return grids, [(np.frombuffer(key, dtype=np.intp) if key else None, members) for key, members in others.items()]
 
     def _rows_moved(self, slots: Sequence[int]) -> bytes:
         """Places of the rows that slots move; none if those are nearly all, or not the same for each of them."""
@@ -336,11 +340,11 @@ class Products:
         """Candidates of the same functions multiplied together."""
         functions = self._functions(bases)
         assert functions is not None
-        made = grid_of(*self._slots(tuple(effects.values())), functions)
-        return Chunk(tuple(effects), made.own(), made.pull(self.r), {}, None, made.rows, made)
+        grid = grid_of(*self._slots(tuple(effects.values())), functions)
+        return Chunk(tuple(effects), grid.gram(), grid.pull(self.r), {}, None, grid.rows, grid)
 
     def _room(self, numbers: int, most: int = KEPT) -> bool:
-        """Whether so many numbers more are kept; they are counted."""
+        """True, and the numbers counted, if there is room for so many more."""
         room = self._kept + numbers <= most
         self._kept += numbers if room else 0
         return room
@@ -348,16 +352,16 @@ class Products:
     def chunk(self, effects: Sequence[Effect], rows: np.ndarray | None = None) -> Chunk:
         """Candidates multiplied together, zero but in some rows if these are given; they are not kept."""
         X = self._source.make(effects, rows)
-        own = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
+        gram = np.zeros((len(X), X[0].shape[1], X[0].shape[1]))
         for low, high in pieces(effects):
-            for values, x in zip(own, X, strict=True):
+            for values, x in zip(gram, X, strict=True):
                 values[low:high, low:high] = x[:, low:high].T @ x[:, low:high]
         right = self.r if rows is None else [r[n] for r, n in zip(self.r, self.layout.numbers(rows), strict=True)]
         pull = np.array([x.T @ r for x, r in zip(X, right, strict=True)])
-        return Chunk(tuple(effects), own, pull, {}, X, rows)
+        return Chunk(tuple(effects), gram, pull, {}, X, rows)
 
     def chunk_of(self, effect: Effect) -> tuple[Chunk, slice]:
-        """Where a candidate is: among those that were scored with the library, or by itself."""
+        """The chunk of a candidate, and its columns there: a chunk of the library, or one of its own."""
         return self._place.get(effect) or (self.chunk([effect]), slice(None))
 
     def rows_of(self, chunk: Chunk, places: np.ndarray) -> list[np.ndarray]:
@@ -367,37 +371,37 @@ class Products:
         return [x[rows] for x, rows in zip(chunk.columns, self.layout.numbers(places), strict=True)]
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
-        """Products of a chunk's columns with those of the coefficients in the design, shape (C, w, d) for each member."""
-        found = {effect: chunk.across.get(effect) for effect, _ in members}
-        new = [effect for effect, made in found.items() if made is None]
+        """Products of a chunk's columns with those of each member of the design, shape (C, w, d) each."""
+        products = {effect: chunk.across.get(effect) for effect, _ in members}
+        new = [effect for effect, product in products.items() if product is None]
         X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
         for effect in new:
             grid = self._as_grid(effect)
             if chunk.grid is not None and grid is not None:
-                made = chunk.grid.across_grid(grid)
+                product = chunk.grid.across_grid(grid)
             elif grid is not None and chunk.rows is None:
-                made = grid.across(X).transpose(0, 2, 1)
+                product = grid.across(X).transpose(0, 2, 1)
             else:
-                made = self._with_columns(chunk, X, effect)
-            found[effect] = made
-            if chunk.effects[0] in self._place and self._room(made.size):
-                chunk.across[effect] = made
-        return [made for made in found.values() if made is not None]
+                product = self._with_columns(chunk, X, effect)
+            products[effect] = product
+            if chunk.effects[0] in self._place and self._room(product.size):
+                chunk.across[effect] = product
+        return [product for product in products.values() if product is not None]
 
     def _with_columns(self, chunk: Chunk, X: Flat, member: Effect | None) -> np.ndarray:
-        """Products of a chunk's columns, X (of a grid none are made), with those of a member, shape (C, w, d)."""
+        """Products of a chunk's columns X (a grid has none) with those of a member, shape (C, w, d)."""
         Y = self.columns(member)
         limbs = [chunk.rows] if chunk.rows is not None else self._limbs if chunk.grid is not None else []
         if not limbs:
             return chunk.grid.across(Y) if chunk.grid else np.array([x.T @ y for x, y in zip(X, Y, strict=True)])
-        made = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
+        products = np.zeros((len(Y), chunk.pull.shape[1], Y[0].shape[1]))
         for rows in limbs:
-            own, some = self._in_rows(member, rows)
+            columns, some = self._in_rows(member, rows)
             if chunk.grid is not None:
-                made[:, :, some] += chunk.grid.among(rows).across(own)
+                products[:, :, some] += chunk.grid.among(rows).across(columns)
             else:
-                made[:, :, some] = [x.T @ y for x, y in zip(X, own, strict=True)]
-        return made
+                products[:, :, some] = [x.T @ y for x, y in zip(X, columns, strict=True)]
+        return products
 
     @cached_property
     def _limbs(self) -> list[np.ndarray]:
@@ -408,7 +412,7 @@ class Products:
         return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
-        """Columns of a member in a limb's rows that are not all zero there, and which those are; they are kept."""
+        """Columns of a member that are not zero in a limb's rows, in these rows, and their numbers; they are kept."""
         key = member, rows.tobytes()
         if key not in self._of_limbs:
             here = [y[n] for y, n in zip(self.columns(member), self.layout.numbers(rows), strict=True)]
@@ -431,7 +435,7 @@ def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 
 def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
-    """First column, and one beyond the last, of pieces of about :data:`PIECE` columns that hold whole candidates."""
+    """First column, and one beyond the last, of pieces of whole candidates, about :data:`PIECE` columns each."""
     ends = [0]
     end = 0
     for k, effect in enumerate(effects):
@@ -442,6 +446,6 @@ def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
 
 
 def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
-    """Effects, and where their columns are when they stand side by side."""
+    """Effects with the places of their columns, side by side."""
     ends = np.cumsum([0, *(len(e.coefficients) for e in effects)]).tolist()
     return [(e, slice(low, high)) for e, low, high in zip(effects, ends[:-1], ends[1:], strict=True)]

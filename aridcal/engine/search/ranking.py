@@ -1,4 +1,4 @@
-"""Candidates ranked by what they would add to a model, and one of them put in."""
+"""Candidates ranked by their evidence beside a model, and a model with one of them added."""
 
 from __future__ import annotations
 
@@ -49,25 +49,25 @@ def rank(
     hints: Collection[str] = (),
     also: Sequence[Effect] = (),
     progress: Progress = SILENT,
-    known: Mapping[Effect, Score] | None = None,
+    scores: Mapping[Effect, Score] | None = None,
 ) -> list[tuple[Effect, Score]]:
-    """Score every candidate that is not in the model; the best first, the first few with their noise apart.
+    """Scores of every candidate that is not in the model; the best first, the first few refined.
 
     Args:
         state: The model as it is.
-        library: Candidates; a step among them is tried where the residual asks for it most.
-        hints: Kinds of which those that the residual hints at are candidates too.
-        also: Further candidates, as they are.
-        progress: Told how many are scored.
-        known: Rough scores of candidates, where there are some.
+        library: Candidates; of a step the best row is tried.
+        hints: Kinds whose effects are candidates too where the residual hints at them.
+        also: Further candidates, steps at their own row.
+        progress: Called with the number of candidates scored.
+        scores: Rough scores of candidates, as far as they are known.
     """
     jumps = [e for e in library if e.at is not None]
     library = [*(e for e in library if e.at is None), *best_steps(state.model, state, jumps), *also]
-    taken = set(state.effects)
-    held = {(kind, e.where) for e in taken if not e.hinted for kind in KINDS[e.kind].holds}
+    active = set(state.effects)
+    covered = {(kind, e.where) for e in active if not e.hinted for kind in KINDS[e.kind].holds}
     every = dict.fromkeys([*library, *hinted(state, hints)])
-    free = [e for e in every if e not in taken and not _is_held(e, held)]
-    rough = dict(known or {})
+    free = [e for e in every if e not in active and not _is_covered(e, covered)]
+    rough = dict(scores or {})
     new = [e for e in free if e not in rough]
     rough.update(zip(new, score_all(state.model, new, state, progress), strict=True))
     order = sorted(free, key=lambda e: -round(rough[e].gain, ALIKE))
@@ -79,22 +79,22 @@ def rank(
     return close + [(e, rough[e]) for e in order if e not in refined]
 
 
-def _is_held(effect: Effect, held: set[tuple[str, str]]) -> bool:
-    """True for what an effect of the model holds already: a gain or a slow harmonic of a joint that has a map."""
-    return (effect.kind, effect.where) in held and max(effect.order, default=0.0) < MAPPED
+def _is_covered(effect: Effect, covered: set[tuple[str, str]]) -> bool:
+    """True for an effect that one of the model can imitate: a gain or a slow harmonic of a joint that has a map."""
+    return (effect.kind, effect.where) in covered and max(effect.order, default=0.0) < MAPPED
 
 
 def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
-    """Candidates that may be what an effect is taken for: of what joints alone decide, no step, where a scan takes long."""
-    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.own)
+    """Candidates for the place of an effect: steps are none of them for one of joints alone, where their scan takes long."""
+    timed = effect.at is not None or not set(sources(effect)) <= set(state.model.joints)
     return [e for e in library if e.at is None or timed or is_small(state.model, library)]
 
 
-def with_effect(state: State, effect: Effect, found: Score) -> State:
-    """The model with a candidate, flags and noise found anew, from the noise that its score was found with."""
-    return state.with_active((*state.active, activate(state, effect, found)), noise_with(state, found))
+def with_effect(state: State, effect: Effect, score: Score) -> State:
+    """The model with a candidate, solved from the noise of the candidate's score."""
+    return state.with_active((*state.active, activate(state, effect, score)), noise_with(state, score))
 
 
 def with_flags(state: State) -> State:
-    """The same effects, rows flagged anew."""
+    """The model with its rows flagged anew."""
     return state.with_active(state.active)

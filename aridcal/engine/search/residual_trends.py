@@ -1,4 +1,4 @@
-"""What remains, traced: to each joint as an error of its own, to every column measured, and to the order of time."""
+"""Trends of the residual: over each joint as its own motion, over every measured column, and in the order of time."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Course:
-    """What rows ask for with one model, and how it runs over a covariate.
+    """Motion that explains each row's residual with one model, and its course over a covariate.
 
     Attributes:
-        rows: What each row asks for, shape (n,), [m] or [rad].
+        rows: Motion of each row, shape (n,), [m] or [rad].
         mean: Mean of each slice, shape (B,).
         smooth: A smooth curve through the means, shape (G,).
         size: RMS of the means beyond their noise.
-        p_value: That slices of noise would differ from zero as much.
+        p_value: Chance that slices of noise differ from zero as much.
     """
 
     rows: np.ndarray
@@ -65,16 +65,16 @@ class Course:
 
 @dataclass(frozen=True)
 class Trace:
-    """Residuals, as a motion that each row asks for by itself, over something that they may depend on.
+    """Residuals over a covariate, as the motion that explains each row by itself.
 
     Attributes:
         motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
         unit: ``m`` or ``rad``.
         covariate: A joint, a measured column, or a load.
-        seen: Covariate of the rows that say something of this motion, in order, shape (n,).
+        seen: Covariate of the rows that this motion moves, shape (n,).
         centre: Covariate of slices of these rows, shape (B,).
-        std: Standard deviation that noise gives the means of these, shape (B,).
-        at: Where the smooth curves through the means were evaluated, shape (G,).
+        std: Standard deviation that noise gives the means of the slices, shape (B,).
+        at: Covariate at which the smooth curves through the means were evaluated, shape (G,).
         before: Without effects.
         after: With the final model.
     """
@@ -98,11 +98,11 @@ class Order:
         timed: True if the order is that of a column ``time``, False if it is that of the table.
         lags: Rows apart, shape (L,).
         correlation: Of residuals so many rows apart, mean of the axes, shape (L,).
-        bound: What 95 % of such correlations stay within if all is noise.
+        bound: Bound within which 95 % of such correlations lie if residuals are noise.
         changes: Changes of sign from one row to the next, all axes together.
-        expected: As many as noise makes.
+        expected: Mean number of these if residuals are noise.
         spread: Standard deviation of that number.
-        p_value: That noise makes so few.
+        p_value: Chance that noise makes so few.
     """
 
     timed: bool
@@ -117,13 +117,13 @@ class Order:
 
 @dataclass(frozen=True)
 class Traces:
-    """What remains, asked on what it depends.
+    """Trends of the residual of the final model.
 
     Attributes:
         joints: Each joint's own motion over its own position.
-        strongest: For each joint, load and column: the motion that depends on it most clearly.
+        strongest: For each joint, load and column, the motion that depends on it most clearly.
         asked: Number of pairs of a motion and a covariate that these were chosen from.
-        order: In the order of time.
+        order: Residuals in the order of time.
     """
 
     joints: tuple[Trace, ...]
@@ -133,8 +133,8 @@ class Traces:
 
 
 @dataclass(frozen=True)
-class _Pulled:
-    """Residuals as a motion that each row asks for by itself; ``weight`` is 1 / variance that the noise makes of it."""
+class _Pull:
+    """Motion that explains each row's residual by itself, before and after; ``weight`` is 1 / its variance by noise."""
 
     motion: str
     unit: str
@@ -151,20 +151,26 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         rows: The N rows in use.
         before: Residuals of the model without effects, shape (N, m), [m] and [rad].
         after: Residuals of the final model.
-        progress: Told how many covariates are asked about.
+        progress: Called with the number of covariates done.
     """
     robot = fit.model.robot
-    pulled, world = _pull(fit, rows, before, after)
-    own = {p.motion: p for p in pulled}
+    pulls, world = _pulls(fit, rows, before, after)
+    motions = {p.motion: p for p in pulls}
     measured = {name: values for name, values in rows.covariates.items() if name not in rows.origin.derived}
     complete = {name: values for name, values in measured.items() if np.isfinite(values).all()}
     table = covariate_table(robot, rows.readings, complete, fit.model.around, world, {".gravity_"})
-    asked = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
+    covariates = {name: v for name, v in table.items() if _varies(v) and ".gravity_moment" not in name}
     return Traces(
-        joints=tuple(_trace(own[name], name, asked[name]) for name in robot.names if name in own and name in asked),
-        strongest=tuple(_strongest(pulled, name, asked[name]) for name in progress.over(list(asked), "covariates")),
-        asked=len(pulled) * len(asked),
-        order=_order(after, rows),
+        joints=tuple(
+            _trace(motions[name], name, covariates[name])
+            for name in robot.names
+            if name in motions and name in covariates
+        ),
+        strongest=tuple(
+            _strongest(pulls, name, covariates[name]) for name in progress.over(list(covariates), "covariates")
+        ),
+        asked=len(pulls) * len(covariates),
+        order=_order_of_time(after, rows),
     )
 
 
@@ -172,101 +178,111 @@ def _varies(values: np.ndarray) -> bool:
     return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
 
 
-def _pull(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pulled], np.ndarray]:
+def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pull], np.ndarray]:
     r"""Residuals pulled back to each joint's own axis, row by row, and along the axes of each channel; and the rows' base frames.
 
-    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row asks for
-    :math:`J^T r / J^T J`, known with variance :math:`1 / J^T J`.
+    Weighted least squares in one unknown: with J the joint's column and r the residual, both in sigmas, a row's motion is
+    :math:`J^T r / J^T J`, of variance :math:`1 / J^T J`.
     """
     robot = fit.model.robot
-    asked = problem(fit.model.with_motions(fit.model.own_motions), rows)
+    question = problem(fit.model.with_motions(fit.model.own_motions), rows)
     theta = np.concatenate([fit.theta, np.zeros(len(robot.joints))])
-    was, left = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
+    before_scaled, after_scaled = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
-    sigma = spread(np.maximum(rms_of_channels(left, rows), FLOOR), rows.channels)
-    J = moved_by(asked, theta, len(robot.joints)) / sigma[:, None]
-    pulled = []
+    sigma = spread(np.maximum(rms_of_channels(after_scaled, rows), FLOOR), rows.channels)
+    J = moved_by(question, theta, len(robot.joints)) / sigma[:, None]
+    pulls = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
         weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
         if weight.any():
-            ago, now = (np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (was, left))
-            pulled.append(_Pulled(joint.name, "rad" if joint.kind == "revolute" else "m", ago, now, weight))
+            pull_before, pull_after = (
+                np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (before_scaled, after_scaled)
+            )
+            pulls.append(_Pull(joint.name, "rad" if joint.kind == "revolute" else "m", pull_before, pull_after, weight))
     axes = [(axis, channel.unit) for channel in rows.channels for axis in channel.axes]
     for k, (axis, unit) in enumerate(axes):
-        own = ~np.isnan(after[:, k])
-        weight = np.where(own, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if own.any() else 0.0, FLOOR**2), 0.0)
-        pulled.append(_Pulled(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
-    return pulled, asked.rows.world
+        present = ~np.isnan(after[:, k])
+        weight = np.where(
+            present, 1.0 / max(float(np.nanmean(after[:, k] ** 2)) if present.any() else 0.0, FLOOR**2), 0.0
+        )
+        pulls.append(_Pull(axis, unit, np.nan_to_num(before[:, k]), np.nan_to_num(after[:, k]), weight))
+    return pulls, question.rows.world
 
 
-def _strongest(pulled: Sequence[_Pulled], covariate: str, values: np.ndarray) -> Trace:
-    """The motion of which noise would least likely show as much."""
+def _strongest(pulls: Sequence[_Pull], covariate: str, values: np.ndarray) -> Trace:
+    """The motion whose dependence on a covariate noise explains least."""
     chances, sliced = [], {}
-    for p in pulled:
-        own = (p.weight > 0).tobytes()
-        if own not in sliced:  # of all motions together there are few sets of rows
-            sliced[own] = _sliced(p, values)
-        chances.append(_chance(_means(p, values, p.after, sliced[own])))
-    return _trace(pulled[int(np.argmin(chances))], covariate, values)
+    for p in pulls:
+        key = (p.weight > 0).tobytes()
+        if key not in sliced:  # motions share few sets of rows
+            sliced[key] = _sliced(p, values)
+        chances.append(_p_value(_means(p, values, p.after, sliced[key])))
+    return _trace(pulls[int(np.argmin(chances))], covariate, values)
 
 
-def _trace(pulled: _Pulled, covariate: str, values: np.ndarray) -> Trace:
+def _trace(pull: _Pull, covariate: str, values: np.ndarray) -> Trace:
     """A motion over a covariate, before and after."""
-    seen = pulled.weight > 0
-    sliced = _sliced(pulled, values)
-    before, after = (_means(pulled, values, asks, sliced) for asks in (pulled.before, pulled.after))
+    informed = pull.weight > 0
+    sliced = _sliced(pull, values)
+    before, after = (_means(pull, values, motion_of_rows, sliced) for motion_of_rows in (pull.before, pull.after))
     at = np.linspace(after.centre[0], after.centre[-1], CURVE)
 
-    def course(asks: np.ndarray, means: _Means) -> Course:
-        return Course(asks[seen], means.mean, _smooth(means, at), _size(means), _chance(means))
+    def course(motion_of_rows: np.ndarray, means: _Means) -> Course:
+        return Course(
+            motion_of_rows[informed], means.mean, _smooth(means, at), _rms_beyond_noise(means), _p_value(means)
+        )
 
-    was, left = course(pulled.before, before), course(pulled.after, after)
-    return Trace(pulled.motion, pulled.unit, covariate, values[seen], after.centre, after.std, at, was, left)
+    course_before, course_after = course(pull.before, before), course(pull.after, after)
+    return Trace(
+        pull.motion, pull.unit, covariate, values[informed], after.centre, after.std, at, course_before, course_after
+    )
 
 
 @dataclass(frozen=True)
 class _Means:
-    """Slices of rows: mean covariate, weighted mean of what the rows ask for, and the noise of that; shape (B,) each."""
+    """Slices of rows: mean covariate, weighted mean of the rows' motion, and its noise; shape (B,) each."""
 
     centre: np.ndarray
     mean: np.ndarray
     std: np.ndarray
 
 
-def _sliced(pulled: _Pulled, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that say something of a motion, in the order of a covariate, shape (n,), and the slice of each: see :func:`_means`."""
-    seen = np.flatnonzero(pulled.weight > 0)
-    seen = seen[np.argsort(values[seen], kind="stable")]
-    different, place = np.unique(values[seen], return_inverse=True)
+def _sliced(pull: _Pull, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the rows that a motion moves, in the order of a covariate, shape (n,), and the slice of each, shape (n,)."""
+    informed = np.flatnonzero(pull.weight > 0)
+    informed = informed[np.argsort(values[informed], kind="stable")]
+    different, place = np.unique(values[informed], return_inverse=True)
     if len(different) > FEW_VALUES:
-        place = np.arange(len(seen)) * int(np.clip(len(seen) // SLICE, 1, MOST_SLICES)) // len(seen)
-    return seen, place
+        place = np.arange(len(informed)) * int(np.clip(len(informed) // SLICE, 1, MOST_SLICES)) // len(informed)
+    return informed, place
 
 
-def _means(pulled: _Pulled, values: np.ndarray, asks: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]) -> _Means:
-    """Slices of equally many rows; of a column with few values, one slice for each."""
-    seen, place = sliced
-    weight = pulled.weight[seen]
+def _means(
+    pull: _Pull, values: np.ndarray, motion_of_rows: np.ndarray, sliced: tuple[np.ndarray, np.ndarray]
+) -> _Means:
+    """Means of slices; these have equally many rows, or one value each of a column with few."""
+    informed, place = sliced
+    weight = pull.weight[informed]
     total = np.bincount(place, weight)
-    centre, mean = (np.bincount(place, weight * v[seen]) / total for v in (values, asks))
+    centre, mean = (np.bincount(place, weight * v[informed]) / total for v in (values, motion_of_rows))
     return _Means(centre, mean, 1.0 / np.sqrt(total))
 
 
-def _chance(m: _Means) -> float:
-    """That noise alone makes such means."""
+def _p_value(m: _Means) -> float:
+    """Chance that noise alone makes such means."""
     return float(chdtrc(len(m.mean), np.sum((m.mean / m.std) ** 2)))
 
 
-def _size(m: _Means) -> float:
-    """RMS of the means beyond what noise makes of them."""
+def _rms_beyond_noise(m: _Means) -> float:
+    """RMS of the means, less the part by noise."""
     weight = 1.0 / m.std**2
     return float(np.sqrt(max(weight @ m.mean**2 - len(weight), 0.0) / weight.sum()))
 
 
 def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     """The likeliest smooth function through the means (Gaussian process, Matern 5/2); zero where they are noise."""
-    variance = _size(m) ** 2
+    variance = _rms_beyond_noise(m) ** 2
     span = float(np.ptp(m.centre))
     if variance == 0.0 or span == 0.0:
         return np.zeros(len(at))
@@ -285,9 +301,9 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
     return curve
 
 
-def _order(residual: np.ndarray, rows: Dataset) -> Order:
+def _order_of_time(residual: np.ndarray, rows: Dataset) -> Order:
     """Changes of sign, and correlation over so many rows, in the order of time (of the table, where there is none)."""
-    # Each number of the rows that have it, one after the other: what a row does not measure does not change its sign.
+    # Each number of the rows that measure it, one after the other: a missing number is no change of sign.
     series = [r[~np.isnan(r)] for r in residual[rows.sequence].T]
     series = [r for r in series if len(r) > 1]
     lags = np.arange(1, min((len(r) // 4 for r in series), default=0) + 1)[:LAGS]

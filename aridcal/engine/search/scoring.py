@@ -1,4 +1,4 @@
-"""Every candidate scored at once against the model as it is, and the best of them tried on rows held back.
+"""One candidate at a time: its evidence with the noise estimated beside it, and the tests that it must pass.
 
 The tests that a candidate must pass, one after the other, are those of docs/how-the-search-works.md: evidence corrected for
 the number of candidates, squared error on rows held back, and a test that stands up to rows that err together.
@@ -79,13 +79,13 @@ SHAPED = 0.02
 
 @dataclass(frozen=True)
 class Judgement:
-    """How a candidate fared: accepted, or why not.
+    """The judgement of a candidate: accepted, or why not.
 
     Attributes:
         effect: The candidate.
         score: Its evidence.
         p_value: Corrected for the number of candidates.
-        gain_held_back: Share of the squared error that it takes off rows held back.
+        gain_held_back: Share of the squared error of held-back rows that it takes away.
         why: Why it was refused; empty if it was accepted.
     """
 
@@ -97,20 +97,20 @@ class Judgement:
 
 
 def refine(state: State, effect: Effect, rough: Score) -> Score:
-    """The same score with the noise of each channel estimated apart, with the candidate in."""
+    """A rough score refined: the noise of each channel estimated for itself, with the candidate in the model."""
     question = effect, rough.gain, rough.tau, rough.kernel
     return state.once(question, lambda: _refined(state, effect, rough))
 
 
 def score_of(state: State, effect: Effect) -> Score:
-    """Evidence for one candidate, the noise of each channel estimated with it in."""
+    """Score of one candidate, the noise of each channel estimated with it in the model."""
     return refine(state, effect, score_all(state.model, [effect], state)[0])
 
 
 def _refined(state: State, effect: Effect, rough: Score) -> Score:
     if effect.smooth:
-        return _reshaped(state, effect, rough)
-    if rough.freedom == 0:  # declared, though the model can do all that it does
+        return _refined_smooth(state, effect, rough)
+    if rough.freedom == 0:  # declared, though its columns are sums of the model's
         return rough
     candidate = activate(state, effect, rough)
     equations, precision = with_candidate(state, candidate)
@@ -126,59 +126,59 @@ def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray)
     sigma, likelihood = with_noise(equations, precision, before.sigma, beta, spent)
     if np.all(np.abs(np.log(sigma / before.sigma)) < SHAPED):
         return sigma, likelihood
-    after = solve(equations, precision, sigma)  # what priors leave free depends on the noise
+    after = solve(equations, precision, sigma)  # degrees of freedom beside priors depend on the noise
     return after.sigma, after.likelihood
 
 
-def _reshaped(state: State, effect: Effect, rough: Score) -> Score:
-    """Shape and noise of a smooth function in turn, until they agree: what it hides makes the noise look large."""
-    total, found = with_columns(state, effect), rough
+def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
+    """Score of a smooth function, shape and noise estimated in turn: without it, what it explains passes for noise."""
+    total, score = with_columns(state, effect), rough
     for _ in range(SHAPINGS):
-        candidate = activate(state, effect, found)
+        candidate = activate(state, effect, score)
         equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
         sigma, likelihood = _noise_with(state, equations, precision)
-        if found.sigma is not None and abs(np.log(found.sigma[0] / sigma[0])) < SHAPED:
+        if score.sigma is not None and abs(np.log(score.sigma[0] / sigma[0])) < SHAPED:
             break
-        found = shaped(total, state.precision, effect.shape, sigma)
-    # The volume of what its modes may still be counts against it: the marginal likelihood's determinant.
+        score = shaped(total, state.precision, effect.shape, sigma)
+    # The determinant of the marginal likelihood: the volume that its modes may still fill counts against it.
     volume = -last_log_determinant(equations.information(sigma) + precision, len(state.precision))
     twice = 2.0 * (likelihood - state.solution.likelihood) + volume
-    return replace(found, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
+    return replace(score, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
 
 
-def judge(state: State, effect: Effect, found: Score, choices: Choices) -> Judgement:
+def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judgement:
     """Accept a candidate, or say why not.
 
     Args:
         state: The model without it.
         effect: The candidate.
-        found: Its evidence.
-        choices: Candidates among which it stood out. Where several of its family are in the model, it stood out among the
-            others of that family alone.
+        score: Its evidence.
+        choices: Candidates among which it is the best; where several of its family are in the model, it counts as the best
+            of the others of that family alone.
     """
     siblings = choices.siblings(state.active, effect)
     chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
     tested += effect.looked if effect.hinted else 0
     model = state.model
-    if effect.at is not None:  # the best of all rows at all places: both frames, each joint and each thing
-        places = {*model.own, "world_base", "tip_target", *(where for where, _ in model.slots)}
+    if effect.at is not None:  # it is the best of all rows at all places: both frames, each joint and each thing
+        places = {*model.joints, "world_base", "tip_target", *(where for where, _ in model.slots)}
         tested += len(state.fold) * len(places)
-    p_value = min(1.0, found.p_value * tested)
+    p_value = min(1.0, score.p_value * tested)
 
     def judgement(gain: float, why: str) -> Judgement:
-        return Judgement(effect, found, p_value, gain, why)
+        return Judgement(effect, score, p_value, gain, why)
 
-    if found.gain <= 0.0 or p_value > chance:
+    if score.gain <= 0.0 or p_value > chance:
         return judgement(0.0, f"not significant (p = {p_value:.2g}, corrected for {tested} candidates)")
-    candidate = activate(state, effect, found)
+    candidate = activate(state, effect, score)
     loss = held_back_folds(state, candidate).sum(axis=1)
     share = float(1.0 - loss[1].sum() / loss[0].sum())
-    who = (effect.kind, effect.where, effect.at)
-    known = any((a.effect.kind, a.effect.where, a.effect.at) == who for a in state.active)
-    if share < (0.0 if known or siblings else LEAST):
+    cause = (effect.kind, effect.where, effect.at)
+    is_active = any((a.effect.kind, a.effect.where, a.effect.at) == cause for a in state.active)
+    if share < (0.0 if is_active or siblings else LEAST):
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
-    if model.thing is not None and _at_several(model, effect):
+    if model.thing is not None and _is_at_several_things(model, effect):
         whole = held_back(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
@@ -186,14 +186,17 @@ def judge(state: State, effect: Effect, found: Score, choices: Choices) -> Judge
         return judgement(share, "does not hold in regions that were held back whole")
     configuration = np.unique(model.configuration[state.used], return_inverse=True)[1]
     if effect.smooth and not effect.hinted and not is_local(effect):
-        robust, least = _ranked(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
+        robust, least = _p_value_of_losses(np.array([np.bincount(configuration, each) for each in loss])), DOUBT
     else:
-        along = _fitted(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
-        robust, least = effect.looked * _robust(state, effect, along, configuration), DOUBT if siblings else ROBUST
+        along = _best_function(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
+        robust, least = (
+            effect.looked * _p_value_of_clusters(state, effect, along, configuration),
+            DOUBT if siblings else ROBUST,
+        )
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
-    if not set(sources(effect)) <= set(model.own):
-        robust = _over_time(state, candidate)
+    if not set(sources(effect)) <= set(model.joints):
+        robust = _p_value_over_time(state, candidate)
         if robust > ROBUST:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
     if effect.at is not None:
@@ -219,38 +222,38 @@ def held_out_whole(state: State, candidate: Active) -> float:
     return float(1.0 - with_it / without)
 
 
-def _at_several(model: LinearModel, effect: Effect) -> bool:
-    """False for what is seen at one place alone: what happened while that was measured, and what is wrong with it."""
+def _is_at_several_things(model: LinearModel, effect: Effect) -> bool:
+    """False for an effect that moves rows of one place alone, or a step: what happened there, or is wrong with that place."""
     assert model.thing is not None
     there = np.any(model.columns(effect), axis=(1, 2))
     return effect.at is None and len(np.unique(model.thing[there])) > 1
 
 
-def _fitted(state: State, candidate: Active) -> np.ndarray:
-    """A smooth candidate as the one function that fits best, shape (d, 1): of a narrow map few rows know anything."""
+def _best_function(state: State, candidate: Active) -> np.ndarray:
+    """Coefficients of the function that fits best for a smooth candidate, shape (d, 1): few rows determine a narrow map."""
     total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
     return candidate.modes @ beta[:, None]
 
 
 def sources(effect: Effect) -> list[str]:
-    """What an effect depends on, loads counted as the joints that make them; places of the target and labels are the user's."""
+    """Covariates of an effect, loads by the joint that bears them; without places of the target and labels."""
     named = (name for name in effect.covariates if not is_sight(name) and name != STATION)
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
-def _over_time(state: State, candidate: Active) -> float:
-    """p-value of what depends on a column that the user does not control, when rows of one stretch may err together."""
+def _p_value_over_time(state: State, candidate: Active) -> float:
+    """p-value of an effect on a column that the user does not control, when rows of one stretch of time may err together."""
     run = np.unique(state.model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
-        return _robust(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
+        return _p_value_of_clusters(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
     loss = held_back(state, candidate, run % PARTS).sum(axis=1)
-    return _ranked(np.array([np.bincount(run, each) for each in loss]))
+    return _p_value_of_losses(np.array([np.bincount(run, each) for each in loss]))
 
 
-def _ranked(loss: np.ndarray) -> float:
-    """p-value, by Wilcoxon's signed ranks, of losses (2, n) that a candidate makes no smaller."""
+def _p_value_of_losses(loss: np.ndarray) -> float:
+    """p-value, by Wilcoxon's signed ranks, that a candidate makes losses (2, n), without and with it, no smaller."""
     return signed_ranks(loss[0] - loss[1])
 
 
@@ -271,8 +274,8 @@ def signed_ranks(values: np.ndarray) -> float:
     if few:
         twice = np.rint(2.0 * rank).astype(int)  # a tie has half ranks
         ways = np.ones(1)  # of each sum of the ranks so far
-        for own in twice.tolist():
-            ways = np.pad(ways, (0, own)) + np.pad(ways, (own, 0))
+        for rank_twice in twice.tolist():
+            ways = np.pad(ways, (0, rank_twice)) + np.pad(ways, (rank_twice, 0))
         return float(ways[twice[values > 0.0].sum() :].sum() / ways.sum())
     n = float(len(values))
     spread = n * (n + 1.0) * (2.0 * n + 1.0) / 24.0 - float(np.sum(ties**3.0 - ties)) / 48.0
@@ -285,7 +288,7 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
 
     Args:
         state: The model without it.
-        candidate: What is added.
+        candidate: The effect added.
         part: Number of the part of each row in use, shape (n,).
 
     Returns:
@@ -296,16 +299,16 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     more = state.flat(candidate.columns(state.model))
     design = [np.hstack([a, c]) for a, c in zip(state.design, more, strict=True)]
     everything = np.ones(len(precision), dtype=bool)
-    kept = [np.arange(len(precision)) < len(state.precision), everything]
-    return held_back_squares(state, design, total, precision, sigma, part, kept)
+    masks = [np.arange(len(precision)) < len(state.precision), everything]
+    return held_back_squares(state, design, total, precision, sigma, part, masks)
 
 
 def held_back_folds(state: State, candidate: Active) -> np.ndarray:
-    r"""The same with the folds as parts, from sums that are there already, shape (2, C, n).
+    r"""As :func:`held_back` with the folds as parts, from sums that are there already, shape (2, C, n).
 
     One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
     """
-    made, layout = state.model.products, state.model.products.layout
+    products, layout = state.model.products, state.model.products.layout
     P, sizes = len(state.precision), [channel.size for channel in state.channels]
     precision = block_diag(state.precision, candidate.precision)
     sigma = candidate.score.sigma
@@ -317,12 +320,12 @@ def held_back_folds(state: State, candidate: Active) -> np.ndarray:
     for k, (low, high) in enumerate(pairwise(layout.starts.tolist())):
         beta = nested_solutions(rest[k], pull[k], P)
         fitted = state.fitted_by_place(beta, low, high, candidate)
-        for c, (r, values, size) in enumerate(zip(made.r, fitted, sizes, strict=True)):
-            left = (r[low * size : high * size, None] - values) / sigma[c]
-            squares[:, c, low:high] = np.sum(left.reshape(high - low, size, 2) ** 2, axis=1).T
-    found = np.empty_like(squares)
-    found[:, :, layout.order] = squares
-    return np.where(state.present.T, found[:, :, state.used], 0.0)
+        for c, (r, values, size) in enumerate(zip(products.r, fitted, sizes, strict=True)):
+            error = (r[low * size : high * size, None] - values) / sigma[c]
+            squares[:, c, low:high] = np.sum(error.reshape(high - low, size, 2) ** 2, axis=1).T
+    by_row = np.empty_like(squares)
+    by_row[:, :, layout.order] = squares
+    return np.where(state.present.T, by_row[:, :, state.used], 0.0)
 
 
 def held_back_squares(
@@ -332,44 +335,46 @@ def held_back_squares(
     precision: np.ndarray,
     sigma: np.ndarray,
     part: np.ndarray,
-    kept: Sequence[np.ndarray],
+    masks: Sequence[np.ndarray],
 ) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, with some of the columns each time.
 
     Args:
-        state: Says which rows are in use, n of them.
-        design: P columns of these, one array for each channel, shape (n size, P).
-        equations: Of the same.
-        precision: Of the prior of all, shape (P, P).
+        state: Its n rows in use count.
+        design: P columns of these rows, one array for each channel, shape (n size, P).
+        equations: Of these columns.
+        precision: Of the prior of all coefficients, shape (P, P).
         sigma: Noise of each channel, shape (C,).
         part: Number of the part of each row in use, shape (n,).
-        kept: Masks of the columns, shape (P,); L of them.
+        masks: L choices of columns, shape (P,) bool each.
 
     Returns:
         Shape (L, C, n), channel by channel.
     """
     sizes = [channel.size for channel in state.channels]
-    squares = np.zeros((len(kept), len(sizes), len(part)))
+    squares = np.zeros((len(masks), len(sizes), len(part)))
     whole, pull = equations.information(sigma) + precision, equations.pull(sigma)
     for k in np.unique(part):
-        held = part == k
-        own = [np.flatnonzero(np.repeat(held[there], size)) for there, size in zip(state.present.T, sizes, strict=True)]
-        A = [a[rows] for a, rows in zip(design, own, strict=True)]
-        b = [values[rows] for values, rows in zip(state.right, own, strict=True)]
-        lost = accumulate(A, b)
-        covariance = inverse(whole - lost.information(sigma))
-        solution = covariance @ (pull - lost.pull(sigma))
-        beta = np.stack([conditional(covariance, solution, ~keep) for keep in kept], axis=1)
+        in_part = part == k
+        numbers = [
+            np.flatnonzero(np.repeat(in_part[there], size)) for there, size in zip(state.present.T, sizes, strict=True)
+        ]
+        A = [a[rows] for a, rows in zip(design, numbers, strict=True)]
+        b = [values[rows] for values, rows in zip(state.right, numbers, strict=True)]
+        sums_of_part = accumulate(A, b)
+        covariance = inverse(whole - sums_of_part.information(sigma))
+        solution = covariance @ (pull - sums_of_part.pull(sigma))
+        beta = np.stack([conditional(covariance, solution, ~keep) for keep in masks], axis=1)
         for c, (a, values, size) in enumerate(zip(A, b, sizes, strict=True)):
-            left = (values[:, None] - a @ beta) / sigma[c]
-            squares[:, c, held & state.present[:, c]] = np.sum(left.reshape(-1, size, len(kept)) ** 2, axis=1).T
+            error = (values[:, None] - a @ beta) / sigma[c]
+            squares[:, c, in_part & state.present[:, c]] = np.sum(error.reshape(-1, size, len(masks)) ** 2, axis=1).T
     return squares
 
 
-def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray) -> float:
+def _p_value_of_clusters(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray) -> float:
     r"""p-value of a candidate when the numbers of one cluster of rows may err together: a cluster-robust score test.
 
-    With C its columns off the model's, r the residual and e what it leaves, all in sigmas,
+    With C its columns projected off the model's, r the residual and e that after C, all in sigmas,
 
     .. math:: S = \frac{g}{g - 1} \sum_{j} C_j^T e_j e_j^T C_j, \qquad
               F = \frac{r^T C S^+ C^T r}{d} \cdot \frac{g - d}{g} \sim F_{d, g - d}
@@ -379,15 +384,15 @@ def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray
     Args:
         state: The model without it.
         effect: The candidate.
-        along: What of its coefficients is tested, shape (coefficients, d).
+        along: Combinations of its coefficients that are tested, shape (coefficients, d).
         cluster: Number of the cluster of each row in use, shape (n,).
     """
-    made, sigma = state.model.products, state.solution.sigma
-    chunk, where = made.chunk_of(effect)
+    products, sigma = state.model.products, state.solution.sigma
+    chunk, where = products.chunk_of(effect)
     AC = np.tensordot(sigma**-2.0, state.in_use(chunk, where)[0], 1) @ along
-    fitted = state.fitted_by_place(state.solution.inverse @ AC, 0, len(made.layout.order))
-    columns_of = [x @ along - values for x, values in zip(made.flat([effect]), fitted, strict=True)]
-    C = state.whitened(state.flat(made.layout.by_row(columns_of)))
+    fitted = state.fitted_by_place(state.solution.inverse @ AC, 0, len(products.layout.order))
+    columns_of = [x @ along - values for x, values in zip(products.flat([effect]), fitted, strict=True)]
+    C = state.whitened(state.flat(products.layout.by_row(columns_of)))
     C = C[:, np.linalg.norm(C, axis=0) > 1e-9]
     r = state.whitened(state.flat(state.residual))
     after = r - C @ np.linalg.lstsq(C, r, rcond=None)[0]
@@ -395,7 +400,7 @@ def _robust(state: State, effect: Effect, along: np.ndarray, cluster: np.ndarray
     if d == 0 or clusters <= d + 2:
         return 1.0
     there = zip(state.channels, state.present.T, strict=True)
-    of_number = np.concatenate([np.repeat(cluster[own], channel.size) for channel, own in there])
+    of_number = np.concatenate([np.repeat(cluster[present], channel.size) for channel, present in there])
     pulls = np.zeros((clusters, d))
     np.add.at(pulls, of_number, C * after[:, None])
     s = C.T @ r

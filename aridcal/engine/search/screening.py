@@ -28,19 +28,19 @@ from aridcal.engine.search.products import grouped, placed
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
-# What a candidate is scored by: M, s, and squared lengths before projection.
+# Sums of a candidate from which its score follows: M, s, and squared lengths before projection.
 Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
-    """Score candidates against a solved state, each alone: what they add, their columns projected off the model's."""
+    """Rough scores of candidates against a solved state, each by itself, its columns projected off the model's."""
     new = [e for e in effects if e not in state.scored]
     sums = {
-        effect: (M, s[own], raw[own])
-        for placed_there, _, s, raw in _projected(model, new, state, progress)
-        for effect, own, M in placed_there
+        effect: (M, s[columns], raw[columns])
+        for placed_there, _, s, raw in _project(model, new, state, progress)
+        for effect, columns, M in placed_there
     }
-    state.scored.update(_scored(sums, state, state.solution.beta))
+    state.scored.update(_score(sums, state, state.solution.beta))
     return [state.scored[e] for e in effects]
 
 
@@ -48,49 +48,49 @@ def score_without(
     model: LinearModel,
     effects: Sequence[Effect],
     state: State,
-    asked: Collection[Effect],
+    effects_out: Collection[Effect],
     progress: Progress = SILENT,
 ) -> dict[Effect, dict[Effect, Score]]:
-    """Score candidates against a solved state without each of some of its effects, at the noise that all leave.
+    """Rough scores of candidates without each of some effects of a state, at the state's noise, by the effect taken out.
 
-    Candidates are those that are not in the model then.
+    Effects still in the model are no candidates.
     """
     V, beta = state.solution.inverse, state.solution.beta
     every = zip(state.active, state.places[1:], strict=True)
-    out = {a.effect: own for a, own in every if a.effect in asked}
+    out = {a.effect: columns for a, columns in every if a.effect in effects_out}
     if not out:
         return {}
     parts = list(out.values())
-    W = [inverse(V[own, own]) for own in parts]
+    W = [inverse(V[columns, columns]) for columns in parts]
     sums: list[dict[Effect, Sums]] = [{} for _ in parts]
     others = [{a.effect for a in state.active} - {effect} for effect in out]  # still in the model: no candidates
-    for placed_there, T, s, raw in _projected(model, effects, state, progress):
-        for mine, own, w, kept in zip(sums, parts, W, others, strict=True):
-            back = T[:, own] @ w
-            pull = s + back @ beta[own]
+    for placed_there, T, s, raw in _project(model, effects, state, progress):
+        for sums_without, columns, w, in_model in zip(sums, parts, W, others, strict=True):
+            back = T[:, columns] @ w
+            pull = s + back @ beta[columns]
             for effect, k, M in placed_there:
-                if effect not in kept:
-                    mine[effect] = M + back[k] @ T[k, own].T, pull[k], raw[k]
-    found = {}
-    for (effect, own), mine in zip(out.items(), sums, strict=True):
+                if effect not in in_model:
+                    sums_without[effect] = M + back[k] @ T[k, columns].T, pull[k], raw[k]
+    scores_without = {}
+    for (effect, columns), sums_without in zip(out.items(), sums, strict=True):
         gone = np.zeros(len(beta), dtype=bool)
-        gone[own] = True
-        found[effect] = _scored(mine, state, conditional(V, beta, gone))
-    return found
+        gone[columns] = True
+        scores_without[effect] = _score(sums_without, state, conditional(V, beta, gone))
+    return scores_without
 
 
-def _projected(
+def _project(
     model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress
 ) -> Iterator[tuple[list[tuple[Effect, slice, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]]:
-    """Candidates chunk by chunk, where they are in it, and their M: T, s and squared lengths, w columns together."""
-    made, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
-    made.now_in_the_model(state.members)
-    asked, done = set(effects), 0
+    """Chunk by chunk: candidates, their columns in it and their M; then T, s and squared lengths of all w columns."""
+    products, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
+    products.now_in_the_model(state.members)
+    candidates, done = set(effects), 0
     prepared: list[Effect] = []
     others: list[Effect] = []
     for e in effects:
         (prepared if model.prepared(e) else others).append(e)
-    for chunk in chain(made.chunks(prepared), (made.chunk(group) for group in grouped(others))):
+    for chunk in chain(products.chunks(prepared), (products.chunk(group) for group in grouped(others))):
         progress.part(done, len(effects), "candidates")
         AC, CC, Cr = state.in_use(chunk)
         CA, CC = np.tensordot(weight, AC, 1).T, np.tensordot(weight, CC, 1)
@@ -99,23 +99,23 @@ def _projected(
         CC = CC.reshape(-1, d, d)
         M = CC - T.reshape(len(CC), d, -1) @ CA.reshape(len(CC), d, -1).transpose(0, 2, 1)
         there = [
-            (effect, own, M[0, own, own] if chunk.grid is None else M[k])
-            for k, (effect, own) in enumerate(placed(chunk.effects))
-            if effect in asked
+            (effect, columns, M[0, columns, columns] if chunk.grid is None else M[k])
+            for k, (effect, columns) in enumerate(placed(chunk.effects))
+            if effect in candidates
         ]
         done += len(there)
         yield there, T, weight @ Cr - CA @ beta, np.diagonal(CC, axis1=1, axis2=2).ravel()
 
 
-def _scored(sums: dict[Effect, Sums], state: State, beta: np.ndarray) -> dict[Effect, Score]:
-    """Evidence of candidates, those of one shape together, where the model has some solution."""
+def _score(sums: dict[Effect, Sums], state: State, beta: np.ndarray) -> dict[Effect, Score]:
+    """Scores of candidates, those of one shape together, for a model with coefficients beta."""
     equations, sigma = state.equations, state.solution.sigma
-    left, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
+    total, count = float(np.sum(equations.squares_left(beta) / sigma**2)), float(equations.count.sum())
     alike = defaultdict(list)
     for effect in sums:
         alike[len(effect.coefficients), effect.shape if effect.smooth else None].append(effect)
-    found: dict[Effect, Score] = {}
+    evidence: dict[Effect, Score] = {}
     for (_, shape), group in alike.items():
         M, s, raw = (np.stack(parts) for parts in zip(*(sums[e] for e in group), strict=True))
-        found.update(zip(group, scores(M, s, raw, left, count, shape), strict=True))
-    return found
+        evidence.update(zip(group, scores(M, s, raw, total, count, shape), strict=True))
+    return evidence

@@ -1,9 +1,8 @@
-"""Sets of effects exchanged for sets: what single steps cannot reach, as each of them would have to be better by itself.
+"""Sets of effects exchanged for sets that single steps do not reach, as each step would have to be better by itself.
 
-A search that adds the best effect first may explain the work of several simple causes by one that is none of them; then none of
-the simple ones is missed alone. So the set is grown again from others that lie further away: with a cause at all places at
-which it may act, in place of what moves the same with the same, and from sets that are made of whole families. The set with the
-most evidence stays.
+A search that adds the best effect first may explain several simple causes by one that is none of them; then no simple cause is
+missing by itself. So the set is grown again from distant sets: with a cause at all places at which it may act, in place of
+effects of the same motion and covariates, and from sets of whole families. The set with the most evidence stays.
 """
 
 from __future__ import annotations
@@ -42,84 +41,86 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
     """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
-        state: A set to which nothing can be added, and of which no single effect can be exchanged.
-        choices: What is chosen among.
-        progress: Told how many sets are tried.
+        state: A set that no single addition or exchange makes better.
+        choices: The candidates.
+        progress: Called with the number of sets tried.
     """
-    if sum(not a.stated for a in state.active) < FEWEST:
+    if sum(not a.declared for a in state.active) < FEWEST:
         return state
 
     def evidence(of: State) -> float:
         return evidence_of_set(of, choices, state.used)
 
-    own, curves = evidence(state), _curves(state)
-    best, value = state, own
-    begun = sorted(_further_away(state, choices.library), key=evidence, reverse=True)
-    begun = [*begun[:TRIED], _of_families(state, choices.library, evidence)]
-    for trial in progress.over(begun, "sets of effects"):
+    before, curves = evidence(state), _curves(state)
+    best, value = state, before
+    sets = sorted(_distant_sets(state, choices.library), key=evidence, reverse=True)
+    sets = [*sets[:TRIED], _set_of_families(state, choices.library, evidence)]
+    for trial in progress.over(sets, "sets of effects"):
         trial = grown(trial, choices, MOST_GROWN, False, progress)[0]
         trial = tidied(trial, choices, 1, progress)
-        least = own if _curves(trial) < curves else own + SURE
-        if (its := evidence(trial)) > max(value, least):
-            best, value = trial, its
+        least = before if _curves(trial) < curves else before + SURE
+        if (after := evidence(trial)) > max(value, least):
+            best, value = trial, after
     return best
 
 
 def _curves(state: State) -> int:
-    """How many effects of a set may bend as the rows have it."""
+    """Number of smooth effects in a set."""
     return sum(a.effect.smooth for a in state.active)
 
 
-def _further_away(state: State, library: Sequence[Effect]) -> Iterator[State]:
-    """Sets that differ from one by more than an effect."""
-    mine = [a.effect for a in state.active if not a.stated]
-    acting = {_acts(e) for e in mine}
-    alike = dict.fromkeys([*map(family, mine), *(family(e) for e in library if _acts(e) in acting)])
-    for own in alike:
-        members = [e for e in library if family(e) == own and e.at is None]
-        places = {_acts(e) for e in members}
-        without = _without(state, [e for e in mine if family(e) == own or _acts(e) in places])
+def _distant_sets(state: State, library: Sequence[Effect]) -> Iterator[State]:
+    """Sets that differ from a set by more than one effect."""
+    effects = [a.effect for a in state.active if not a.declared]
+    acting = {_motion_and_covariates(e) for e in effects}
+    alike = dict.fromkeys([*map(family, effects), *(family(e) for e in library if _motion_and_covariates(e) in acting)])
+    for this_family in alike:
+        members = [e for e in library if family(e) == this_family and e.at is None]
+        places = {_motion_and_covariates(e) for e in members}
+        without = _without(
+            state, [e for e in effects if family(e) == this_family or _motion_and_covariates(e) in places]
+        )
         for some in _of_orders(members):
-            everywhere = _everywhere(without, some)
+            everywhere = _with_all(without, some)
             if len(everywhere.active) - len(without.active) > 1 and len(everywhere.active) <= MOST_GROWN:
                 yield everywhere
 
 
-def _of_families(state: State, library: Sequence[Effect], evidence: Callable[[State], float]) -> State:
-    """The set made of whole families, the one that adds most evidence first: what no member shows by itself they may together."""
+def _set_of_families(state: State, library: Sequence[Effect], evidence: Callable[[State], float]) -> State:
+    """A set of whole families, the one that adds most evidence first: members may show together what none shows by itself."""
     simple = [e for e in library if len(e.slots) == 1 and e.at is None and not e.smooth]
     families = dict.fromkeys(map(family, simple))
-    parts = [part for own in families for part in _of_orders([e for e in simple if family(e) == own])]
-    made = _without(state, [a.effect for a in state.active if not a.stated])
+    parts = [part for this_family in families for part in _of_orders([e for e in simple if family(e) == this_family])]
+    best_set = _without(state, [a.effect for a in state.active if not a.declared])
     for _ in range(FAMILIES):
-        more = [_everywhere(made, part) for part in parts]
-        allowed = [own for own in more if len(made.active) < len(own.active) <= MOST_GROWN]
-        best = max(allowed, key=evidence, default=made)
-        if evidence(best) <= evidence(made):
+        trials = [_with_all(best_set, part) for part in parts]
+        allowed = [trial for trial in trials if len(best_set.active) < len(trial.active) <= MOST_GROWN]
+        best = max(allowed, key=evidence, default=best_set)
+        if evidence(best) <= evidence(best_set):
             break
-        made = best
-    return made
+        best_set = best
+    return best_set
 
 
 def _of_orders(members: Sequence[Effect]) -> Iterator[list[Effect]]:
-    """Members of a family: those of the lowest orders together, and those of each order."""
+    """Choices of a family's members: the lowest orders together, and each order by itself."""
     orders = sorted({e.order for e in members})
     lowest = [frozenset(orders[: k + 1]) for k in range(len(orders))]
     for some in dict.fromkeys([*lowest[:LOWEST], *(frozenset([order]) for order in orders)]):
         yield [e for e in members if e.order in some]
 
 
-def _acts(effect: Effect) -> tuple[object, ...]:
-    """What moves, and with what: causes that share this stand for one another."""
+def _motion_and_covariates(effect: Effect) -> tuple[object, ...]:
+    """Place, motion and covariates: causes that share all three imitate one another."""
     return effect.where, effect.motion, effect.covariates
 
 
-def _everywhere(state: State, members: Sequence[Effect]) -> State:
-    """The set with all of some effects of which the rows say anything, one of each order a place."""
+def _with_all(state: State, members: Sequence[Effect]) -> State:
+    """The set with all of some effects that have evidence, one of each place and order."""
     best: dict[tuple[object, ...], Active] = {}
-    for effect, found in rank(state, members):
-        if found.gain > 0.0:
-            best.setdefault((effect.where, effect.order), activate(state, effect, found))
+    for effect, score in rank(state, members):
+        if score.gain > 0.0:
+            best.setdefault((effect.where, effect.order), activate(state, effect, score))
     return state.with_active((*state.active, *best.values()))
 
 

@@ -1,4 +1,4 @@
-"""Sets of effects: what is believed of a set beforehand, and the evidence for it as a whole."""
+"""Sets of effects: the prior of a set, and the evidence for it as a whole."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ Family = tuple[str, tuple[str, ...]]
 
 
 def family(effect: Effect) -> Family:
-    """What an effect shares with the same cause at other places: gears of one make err alike, links of one make yield alike."""
+    """The family of an effect: gears of one make err alike, links of one make yield alike."""
     return effect.kind, effect.motion
 
 
 @dataclass(frozen=True)
 class Choices:
-    """What is tried, and what it was chosen among.
+    """Candidates that are tried, and all candidates among which they are chosen.
 
     Attributes:
         library: Candidates that are tried.
-        count: Candidates in all.
+        count: Number of all candidates.
         places: Where each family may act.
-        orders: The orders that it may have.
+        orders: Orders that each family may have.
     """
 
     library: tuple[Effect, ...]
@@ -48,7 +48,7 @@ class Choices:
 
     @classmethod
     def of(cls, library: Sequence[Effect], count: int = 0) -> Choices:
-        """All candidates, or a count of those of which the library holds the most promising ones."""
+        """Choices of a library: all candidates, or the most promising ones of ``count``."""
         places: dict[Family, set[str]] = {}
         orders: dict[Family, set[tuple[float, ...]]] = {}
         for effect in library:
@@ -57,57 +57,57 @@ class Choices:
         return cls(
             tuple(library),
             max(count, len(library)),
-            {own: frozenset(some) for own, some in places.items()},
-            {own: frozenset(some) for own, some in orders.items()},
+            {this_family: frozenset(some) for this_family, some in places.items()},
+            {this_family: frozenset(some) for this_family, some in orders.items()},
         )
 
     def only(self, library: Sequence[Effect]) -> Choices:
-        """Some of the candidates tried alone, chosen among all the same."""
+        """These choices with some candidates tried alone; they still count as chosen among all."""
         return replace(self, library=tuple(library))
 
     def siblings(self, active: Sequence[Active], effect: Effect) -> int:
         """Candidates of its family at places without one, where several others of it are in the model; else 0."""
-        own = family(effect)
-        taken = {a.effect.where for a in active if family(a.effect) == own} - {effect.where}
-        if len(taken) < SEVERAL:
+        this_family = family(effect)
+        places_taken = {a.effect.where for a in active if family(a.effect) == this_family} - {effect.where}
+        if len(places_taken) < SEVERAL:
             return 0
-        left = self.places.get(own, frozenset()) - taken
-        return max(len(left), 1) * max(len(self.orders.get(own, ())), 1)
+        places_free = self.places.get(this_family, frozenset()) - places_taken
+        return max(len(places_free), 1) * max(len(self.orders.get(this_family, ())), 1)
 
     def cost(self, active: Iterable[Active]) -> float:
-        r"""What naming a set costs beforehand, [nat]: which families, at k of m places each, and with which orders.
+        r"""Minus the logarithm of the prior of a set, [nat]: its families, k of m places of each, and their orders.
 
         .. math:: \sum_{\text{families}} \log F + \log \binom{m}{k} + \log(m + 1)
                   + \log \frac{(n + f - 1)!}{(f - 1)! \prod_j n_j!}
 
-        for F families, as if each number of places were as likely beforehand as any other (J. G. Scott, J. O. Berger, Annals of
-        Statistics 38, 2010, 2587, section 3), and with n effects of f possible orders, :math:`n_j` of each, as if each
-        composition of orders were (Laplace's rule of succession): places of one make err in one way.
+        for F families, each number of places being as likely as any other (J. G. Scott, J. O. Berger, Annals of
+        Statistics 38, 2010, 2587, section 3), and with n effects of f possible orders, :math:`n_j` of each, each
+        composition of orders being as likely (Laplace's rule of succession): places of one make err in one way.
         """
-        found: dict[Family, list[Effect]] = {}
+        by_family: dict[Family, list[Effect]] = {}
         for a in active:
-            if not a.stated:
-                found.setdefault(family(a.effect), []).append(a.effect)
-        return sum(self._cost_of(own, effects) for own, effects in found.items())
+            if not a.declared:
+                by_family.setdefault(family(a.effect), []).append(a.effect)
+        return sum(self._cost_of(this_family, effects) for this_family, effects in by_family.items())
 
     def price(self, active: Sequence[Active], more: Active) -> float:
-        """What one more effect adds to that, [nat]."""
+        """What one more effect adds to the cost, [nat]."""
         return self.cost([*active, more]) - self.cost(active)
 
-    def _cost_of(self, own: Family, effects: Sequence[Effect]) -> float:
-        counted = Counter(e.order for e in effects)
+    def _cost_of(self, this_family: Family, effects: Sequence[Effect]) -> float:
+        order_counts = Counter(e.order for e in effects)
         k, n = len({e.where for e in effects}), len(effects)
-        m = max(len(self.places.get(own, ())), k)
-        f = len(self.orders.get(own, frozenset()) | set(counted))
+        m = max(len(self.places.get(this_family, ())), k)
+        f = len(self.orders.get(this_family, frozenset()) | set(order_counts))
         where = lgamma(m + 1) - lgamma(k + 1) - lgamma(m - k + 1) + log(m + 1)
-        orders = lgamma(n + f) - lgamma(f) - sum(lgamma(j + 1) for j in counted.values())
+        orders = lgamma(n + f) - lgamma(f) - sum(lgamma(j + 1) for j in order_counts.values())
         return log(max(len(self.places), 1)) + where + orders
 
 
-def evidence_of_set(state: State, choices: Choices, used: np.ndarray) -> float:
+def evidence_of_set(state: State, choices: Choices, in_use: np.ndarray) -> float:
     r"""Logarithm of the evidence for a set of effects on some rows, up to a constant that all sets share, [nat].
 
-    Laplace's integral over the coefficients of all effects together, so that what two of them do alike is charged once:
+    Laplace's integral over the coefficients of all effects together, so that two effects of like columns are charged once:
 
     .. math:: \log L - \tfrac12 \log \big| T V^{-1} T + D \big| - \tfrac12 \beta_p^T (V_{pp} + T_p^2)^{-1} \beta_p
               - n_p - 2 n_s - \text{cost}
@@ -119,20 +119,20 @@ def evidence_of_set(state: State, choices: Choices, used: np.ndarray) -> float:
 
     Args:
         state: The set.
-        choices: What it was chosen among.
-        used: Rows by which sets are compared, shape (N,) bool.
+        choices: Candidates among which it is chosen.
+        in_use: Rows by which sets are compared, shape (N,) bool.
     """
-    if not np.array_equal(state.used, used):
-        state = solve_state(state.model, state.active, state.solution.sigma, used, fixed=True)
+    if not np.array_equal(state.used, in_use):
+        state = solve_state(state.model, state.active, state.solution.sigma, in_use, fixed=True)
     charged = choices.cost(state.active)
     beta, V = state.solution.beta, state.solution.inverse
     size, plain = np.ones(len(beta)), np.zeros(len(beta), dtype=bool)
-    for a, own in zip(state.active, state.places[1:], strict=True):
+    for a, place in zip(state.active, state.places[1:], strict=True):
         if a.effect.smooth:
             charged += SMOOTH_PRICE
             continue
-        variance = (float(beta[own] @ beta[own]) + float(np.trace(V[own, own]))) / (own.stop - own.start)
-        size[own], plain[own] = np.sqrt(max(variance, TINY)), True
+        variance = (float(beta[place] @ beta[place]) + float(np.trace(V[place, place]))) / (place.stop - place.start)
+        size[place], plain[place] = np.sqrt(max(variance, TINY)), True
         charged += PLAIN_PRICE
     if plain.any():
         apart = beta[plain] / size[plain]

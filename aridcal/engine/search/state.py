@@ -1,4 +1,4 @@
-"""A set of effects solved in the linearised model, from sums of products that are kept."""
+"""A set of effects solved in the linearised model, from stored sums of products."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ class State:
     Attributes:
         model: The linearised model.
         active: The effects.
-        precision: Of the prior of all that is solved for, shape (P, P).
+        precision: Of the prior of all unknowns, shape (P, P).
         equations: Sums over the rows in use.
         solution: Their solution.
-        residual: What is left of every row, shape (N, m).
-        used: Rows in use: those that are no outliers, shape (N,) bool.
+        residual: Residual of every row, shape (N, m).
+        used: Rows in use, those that are no outliers, shape (N,) bool.
         unused: The other rows' places in the order of the folds, shape (N - n,).
-        extra: Columns of these, one array for each channel, shape ((N - n) size, P).
-        scored: Rough scores of candidates that were asked for so far.
-        answers: What else was asked for so far.
+        extra: Columns of the other rows, one array for each channel, shape ((N - n) size, P).
+        scored: Cache of rough scores, by candidate.
+        answers: Cache of other results; see :meth:`once`.
     """
 
     model: LinearModel
@@ -61,11 +61,11 @@ class State:
     answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def once(self, question: Hashable, answer: Callable[[], T]) -> T:
-        """What was found of it: who asks again gets the same."""
+        """The answer to a question about this state, computed at its first call alone."""
         if question not in self.answers:
             self.answers[question] = answer()
-        found: T = self.answers[question]
-        return found
+        value: T = self.answers[question]
+        return value
 
     @property
     def channels(self) -> Channels:
@@ -89,70 +89,70 @@ class State:
 
     @cached_property
     def right(self) -> tuple[np.ndarray, ...]:
-        """Their residuals likewise, shape (n size,)."""
+        """Residuals of the rows in use, one array for each channel, shape (n size,)."""
         return self.flat(self.model.r)
 
     @cached_property
     def right_of_unused(self) -> list[np.ndarray]:
         """Residuals of the rows not in use, shape ((N - n) size,) for each channel."""
-        made = self.model.products
-        return [r[rows] for r, rows in zip(made.r, made.layout.numbers(self.unused), strict=True)]
+        products = self.model.products
+        return [r[rows] for r, rows in zip(products.r, products.layout.numbers(self.unused), strict=True)]
 
     @cached_property
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
-        AA, Ar = _assembled(self.model.products, self.members, together=False)
+        AA, Ar = _sums_of_folds(self.model.products, self.members, together=False)
         AA -= self.unused_products(self.extra, self.extra)
         Ar -= self.unused_products(self.extra, self.right_of_unused)
         return AA, Ar
 
     def unused_products(self, X: Sequence[np.ndarray], Y: Sequence[np.ndarray]) -> np.ndarray:
         """X'Y over the rows not in use of each of F folds, shape (F, C, ...), from arrays of these rows for each channel."""
-        made = []
+        per_fold = []
         for low, high in pairwise(np.searchsorted(self.unused, self.model.products.layout.starts).tolist()):
-            own = [slice(low * channel.size, high * channel.size) for channel in self.channels]
-            made.append([x[rows].T @ y[rows] for x, y, rows in zip(X, Y, own, strict=True)])
-        return np.array(made)
+            parts = [slice(low * channel.size, high * channel.size) for channel in self.channels]
+            per_fold.append([x[rows].T @ y[rows] for x, y, rows in zip(X, Y, parts, strict=True)])
+        return np.array(per_fold)
 
     @property
     def members(self) -> tuple[Member, ...]:
-        """What stands in the design: the constants, then the effects."""
+        """Members of the design: the constants, then the effects."""
         return members(self.model, self.active)
 
     @property
     def places(self) -> list[slice]:
-        """Where each of them is in what is solved for."""
+        """Places of each member's unknowns among the P."""
         return _places([modes.shape[1] for _, modes in self.members])
 
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
-        """Products with the coefficients of all members, (..., w, d) each, as products with what is solved for, (..., w, P)."""
+        """Products with the columns of each member's coefficients, (..., w, d), as products with all unknowns', (..., w, P)."""
         first, *others = blocks
         return np.concatenate([first, *(b @ a.modes for b, a in zip(others, self.active, strict=True))], axis=-1)
 
     def fitted_by_place(
         self, beta: np.ndarray, low: int, high: int, candidate: Active | None = None
     ) -> list[np.ndarray]:
-        """What L solutions make of rows at some places of the folds' order, ((high - low) size, L) for each channel.
+        """Values that L solutions give rows at some places of the folds' order, ((high - low) size, L) for each channel.
 
         Args:
             beta: Shape (P, L), or (P + d, L) with a candidate.
             low: The first place.
             high: One beyond the last.
-            candidate: What is added.
+            candidate: An effect added to the design.
         """
-        made = self.model.products
+        products = self.model.products
         every = members(self.model, self.active if candidate is None else (*self.active, candidate))
         numbers = [slice(low * channel.size, high * channel.size) for channel in self.channels]
-        fitted = [np.zeros((own.stop - own.start, beta.shape[1])) for own in numbers]
+        fitted = [np.zeros((part.stop - part.start, beta.shape[1])) for part in numbers]
         for (effect, modes), place in zip(every, _places([modes.shape[1] for _, modes in every]), strict=True):
-            taken = modes @ beta[place]
-            for values, x, own in zip(fitted, made.columns(effect), numbers, strict=True):
-                values += x[own] @ taken
+            coefficients = modes @ beta[place]
+            for values, x, part in zip(fitted, products.columns(effect), numbers, strict=True):
+                values += x[part] @ coefficients
         return fitted
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """The effects alone."""
+        """The effects in the model."""
         return tuple(a.effect for a in self.active)
 
     def with_active(self, active: Sequence[Active], sigma: np.ndarray | None = None, fixed: bool = False) -> State:
@@ -163,8 +163,8 @@ class State:
         """The solution by its coefficients, the K constants first."""
         first, *others = self.places
         values = dict(zip(constants, self.solution.beta[first].tolist(), strict=True))
-        for a, own in zip(self.active, others, strict=True):
-            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[own]).tolist(), strict=True))
+        for a, place in zip(self.active, others, strict=True):
+            values |= dict(zip(a.effect.coefficients, (a.modes @ self.solution.beta[place]).tolist(), strict=True))
         return values
 
     @property
@@ -188,29 +188,29 @@ class State:
             where: Columns of one of them; all of the chunk's otherwise.
 
         Returns:
-            Products with what is solved for, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
-            All candidates of a grid have products with themselves alone, (C, candidates, d, d).
+            Products with the unknowns' columns, shape (C, P, w), with one another, (C, w, w), and with the residual, (C, w).
+            Of a grid's candidates each has its products with itself alone, (C, candidates, d, d).
         """
-        made = self.model.products
+        products = self.model.products
         some = slice(None) if where is None else where
-        cross = self.in_modes([values[:, some] for values in made.across(chunk, self.members)])
-        own, pull = chunk.own if where is None else chunk.of_one(where), chunk.pull[:, some]
+        cross = self.in_modes([values[:, some] for values in products.across(chunk, self.members)])
+        gram, pull = chunk.gram if where is None else chunk.of_one(where), chunk.pull[:, some]
         if len(self.unused):
-            lost = [x[:, some] for x in made.rows_of(chunk, self.unused)]
-            cross = cross - np.array([x.T @ a for x, a in zip(lost, self.extra, strict=True)])
-            each = [x.reshape(len(x), -1, own.shape[-1]).transpose(1, 2, 0) for x in lost]
-            own = own - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(own.shape)
-            pull = pull - np.array([x.T @ r for x, r in zip(lost, self.right_of_unused, strict=True)])
-        return np.swapaxes(cross, 1, 2), own, pull
+            unused_columns = [x[:, some] for x in products.rows_of(chunk, self.unused)]
+            cross = cross - np.array([x.T @ a for x, a in zip(unused_columns, self.extra, strict=True)])
+            each = [x.reshape(len(x), -1, gram.shape[-1]).transpose(1, 2, 0) for x in unused_columns]
+            gram = gram - np.array([x @ x.transpose(0, 2, 1) for x in each]).reshape(gram.shape)
+            pull = pull - np.array([x.T @ r for x, r in zip(unused_columns, self.right_of_unused, strict=True)])
+        return np.swapaxes(cross, 1, 2), gram, pull
 
 
 def members(model: LinearModel, active: Sequence[Active]) -> tuple[Member, ...]:
-    """What stands in the design of some effects: the constants, then these."""
+    """Members of the design with some effects: the constants, then these."""
     return (model.products.constants, *((a.effect, a.modes) for a in active))
 
 
 def solve_state(
-    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, used: np.ndarray, fixed: bool = False
+    model: LinearModel, active: Sequence[Active], sigma: np.ndarray, in_use: np.ndarray, fixed: bool = False
 ) -> State:
     """Solve a set of effects, noise and outlier flags with it.
 
@@ -218,138 +218,140 @@ def solve_state(
         model: The linearised model.
         active: Effects.
         sigma: Noise to begin with, shape (C,).
-        used: Rows to begin with, shape (N,) bool.
-        fixed: Keep to these rows: what is compared with another model must be solved on the same ones.
+        in_use: Rows to begin with, shape (N,) bool.
+        fixed: Keep to these rows: models that are compared must be solved on the same rows.
     """
     model.products.now_in_the_model(members(model, active))
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
-    sound = used
+    sound = in_use
     for _ in range(FLAGGING):
-        used = sound
-        unused, extra, equations = _in_use(model, active, every, used)
+        in_use = sound
+        unused, extra, equations = _in_use(model, active, every, in_use)
         solution = solve(equations, precision, sigma)
-        residual = _left(model, active, solution.beta)
+        residual = _residual(model, active, solution.beta)
         sigma = solution.sigma
         sound = ~flagged(model.holed(residual), model.channels, model.limit)
-        if fixed or np.array_equal(sound, used):
+        if fixed or np.array_equal(sound, in_use):
             break
-    return State(model, tuple(active), precision, equations, solution, residual, used, unused, extra)
+    return State(model, tuple(active), precision, equations, solution, residual, in_use, unused, extra)
 
 
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
     """Sums of a set of effects over all rows, whether in use or not."""
-    made = model.products
-    AA, Ar = _assembled(made, members(model, active), together=True)
+    products = model.products
+    AA, Ar = _sums_of_folds(products, members(model, active), together=True)
     sizes = np.array([channel.size for channel in model.channels])
-    return NormalEquations(AA, Ar, made.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
+    return NormalEquations(AA, Ar, products.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
 
 def _in_use(
-    model: LinearModel, active: Sequence[Active], every: NormalEquations, used: np.ndarray
+    model: LinearModel, active: Sequence[Active], every: NormalEquations, in_use: np.ndarray
 ) -> tuple[np.ndarray, tuple[np.ndarray, ...], NormalEquations]:
-    """Places and columns of the rows that are not used, and the sums without them."""
-    made, layout = model.products, model.products.layout
-    unused = np.flatnonzero(~used[layout.order])
+    """Places and columns of the rows not in use, and the sums without them."""
+    products, layout = model.products, model.products.layout
+    unused = np.flatnonzero(~in_use[layout.order])
     extra = columns_at(model, members(model, active), unused)
-    right = [r[own] for r, own in zip(made.r, layout.numbers(unused), strict=True)]
+    right = [r[numbers] for r, numbers in zip(products.r, layout.numbers(unused), strict=True)]
     sizes = np.array([channel.size for channel in model.channels])
     there = model.present[layout.order[unused]].sum(axis=0) * sizes
     equations = every.minus(replace(accumulate(extra, right), count=there)) if len(unused) else every
-    count = np.maximum(model.share * equations.count - model.taken, 1.0)
+    count = np.maximum(model.share * equations.count - model.taken_up, 1.0)
     return unused, extra, replace(equations, count=count)
 
 
 def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) -> tuple[np.ndarray, ...]:
-    """What is solved for, in rows at some places of the folds' order: shape (rows size, P) for each channel."""
-    made, numbers = model.products, model.products.layout.numbers(places)
-    parts = [[x[own] @ modes for x, own in zip(made.columns(effect), numbers, strict=True)] for effect, modes in every]
+    """Columns of all unknowns in rows at some places of the folds' order, shape (rows size, P) for each channel."""
+    products, numbers = model.products, model.products.layout.numbers(places)
+    parts = [
+        [x[rows] @ modes for x, rows in zip(products.columns(effect), numbers, strict=True)] for effect, modes in every
+    ]
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
 
 
 def _places(sizes: Sequence[int]) -> list[slice]:
-    """Where members of so many unknowns each are, one after the other."""
+    """Places of members with these numbers of unknowns, one after the other."""
     ends = np.cumsum([0, *sizes]).tolist()
     return [slice(low, high) for low, high in pairwise(ends)]
 
 
-def _assembled(made: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
+def _sums_of_folds(products: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
     """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
 
     def summed(of_folds: np.ndarray) -> np.ndarray:
         return np.asarray(of_folds.sum(axis=0)) if together else of_folds
 
-    Ar = np.concatenate([summed(made.pull(effect)) @ modes for effect, modes in every], axis=-1)
+    Ar = np.concatenate([summed(products.pull(effect)) @ modes for effect, modes in every], axis=-1)
     AA = np.empty((*Ar.shape, Ar.shape[-1]))
-    for k, own in enumerate(_places([modes.shape[1] for _, modes in every])):
-        row = summed(np.concatenate([made.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
-        AA[..., own, : own.stop] = row
-        AA[..., : own.stop, own] = np.swapaxes(row, -1, -2)
+    for k, place in enumerate(_places([modes.shape[1] for _, modes in every])):
+        row = summed(np.concatenate([products.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
+        AA[..., place, : place.stop] = row
+        AA[..., : place.stop, place] = np.swapaxes(row, -1, -2)
     return AA, Ar
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """H of shape (F, P + d, P + d) and g of (F, P + d): sums over the rows in use of each fold, with a candidate added."""
-    model, made = state.model, state.model.products
+    model, products = state.model, state.model.products
     AA, Ar = state.of_folds
-    mine = candidate.effect, candidate.modes
-    extra = columns_at(model, [mine], state.unused)
-    cross = np.concatenate([made.in_modes(member, mine) for member in state.members], axis=2)
+    extra_member = candidate.effect, candidate.modes
+    extra = columns_at(model, [extra_member], state.unused)
+    cross = np.concatenate([products.in_modes(member, extra_member) for member in state.members], axis=2)
     cross -= state.unused_products(state.extra, extra)
-    own = made.in_modes(mine, mine) - state.unused_products(extra, extra)
-    pull = made.pull(mine[0]) @ mine[1] - state.unused_products(extra, state.right_of_unused)
+    gram = products.in_modes(extra_member, extra_member) - state.unused_products(extra, extra)
+    pull = products.pull(extra_member[0]) @ extra_member[1] - state.unused_products(extra, state.right_of_unused)
     P, weight = AA.shape[-1], sigma**-2.0
     H = np.empty((len(AA), P + cross.shape[-1], P + cross.shape[-1]))
     H[:, :P, :P] = np.einsum("c,fcij->fij", weight, AA)
     H[:, :P, P:] = np.einsum("c,fcij->fij", weight, cross)
     H[:, P:, :P] = H[:, :P, P:].transpose(0, 2, 1)
-    H[:, P:, P:] = np.einsum("c,fcij->fij", weight, own)
+    H[:, P:, P:] = np.einsum("c,fcij->fij", weight, gram)
     return H, np.einsum("c,fci->fi", weight, np.concatenate([Ar, pull], axis=2))
 
 
 def without_effect(state: State, effect: Effect) -> State:
     r"""The model without one of its effects, solved on the same rows.
 
-    The noise to begin with is the one that the coefficients leave without it at the noise that they had with it, which needs no
-    equations solved: with G its unknowns, V the inverse of all, and A_c the sums of a channel,
+    The noise to begin with follows from the residuals without it, at the weights that the model had with it; no equations need
+    be solved for it: with G its unknowns, V the inverse of all, and A_c the sums of a channel,
 
     .. math:: V_{-G} = V - V_{:G} V_{GG}^{-1} V_{G:}, \qquad
               \operatorname{tr} V_{-G} A_c = \operatorname{tr} V A_c - \operatorname{tr} V_{GG}^{-1} V_{G:} A_c V_{:G}
     """
     V, before, equations = state.solution.inverse, state.solution, state.equations
     gone = np.zeros(len(V), dtype=bool)
-    for a, own in zip(state.active, state.places[1:], strict=True):
-        gone[own] = a.effect == effect
+    for a, place in zip(state.active, state.places[1:], strict=True):
+        gone[place] = a.effect == effect
     out = V[:, gone]
     fewer = np.einsum("ij,cij->c", solve_equations(out[gone], out.T, ridge=RIDGE).T, equations.AA @ out)
-    left = equations.squares_left(conditional(V, before.beta, gone))
-    sigma = noise_left(equations, left, before.spent - fewer / before.sigma**2)
+    squares = equations.squares_left(conditional(V, before.beta, gone))
+    sigma = noise_left(equations, squares, before.spent - fewer / before.sigma**2)
     return state.with_active([a for a in state.active if a.effect != effect], sigma, fixed=True)
 
 
-def _left(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
-    """What a solution leaves of every row, shape (N, m)."""
+def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) -> np.ndarray:
+    """Residual of every row, shape (N, m), for coefficients beta."""
     K = model.A.shape[2]
-    left = model.r - model.A @ beta[:K]
-    for a, own in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
-        left -= model.seen(model.made_of(a.effect, a.modes @ beta[own])[:, :, None])[:, :, 0]
-    return np.asarray(left)
+    residual = model.r - model.A @ beta[:K]
+    for a, place in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
+        residual -= model.seen(model.made_of(a.effect, a.modes @ beta[place])[:, :, None])[:, :, 0]
+    return np.asarray(residual)
 
 
-def activate(state: State, effect: Effect, found: Score) -> Active:
-    """Make a candidate ready to be solved for: of a smooth one, the modes of which the data say something."""
+def activate(state: State, effect: Effect, score: Score) -> Active:
+    """A candidate with the unknowns to be solved for: those modes of a smooth one that the data determine."""
     if not effect.smooth:
-        return Active(effect, found, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
-    chunk, own = state.model.products.chunk_of(effect)
-    gram = np.tensordot(noise_with(state, found) ** -2.0, chunk.of_one(own), 1)
-    root = found.tau * samples_root(effect.shape, found.kernel)
-    told, modes = np.linalg.eigh(root.T @ gram @ root)
-    return Active(effect, found, root @ modes[:, told > FAINT])
+        return Active(effect, score, np.eye(len(effect.coefficients)), prior=state.model.prior_of(effect))
+    chunk, columns = state.model.products.chunk_of(effect)
+    gram = np.tensordot(noise_with(state, score) ** -2.0, chunk.of_one(columns), 1)
+    root = score.tau * samples_root(effect.shape, score.kernel)
+    information, modes = np.linalg.eigh(root.T @ gram @ root)
+    return Active(effect, score, root @ modes[:, information > FAINT])
 
 
-def noise_with(state: State, found: Score) -> np.ndarray:
-    """What is known of the noise with a candidate in the model, shape (C,)."""
-    return state.solution.sigma if found.sigma is None else found.sigma
+def noise_with(state: State, score: Score) -> np.ndarray:
+    """Noise with a candidate in the model, as far as its score knows it, shape (C,)."""
+    return state.solution.sigma if score.sigma is None else score.sigma
 
 
 def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np.ndarray]:
@@ -361,6 +363,6 @@ def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np
 
 def with_columns(state: State, effect: Effect) -> NormalEquations:
     """Equations of the model with the columns of an effect's coefficients added."""
-    made = state.model.products
-    made.now_in_the_model(state.members)
-    return state.equations.bordered(*state.in_use(*made.chunk_of(effect)))
+    products = state.model.products
+    products.now_in_the_model(state.members)
+    return state.equations.bordered(*state.in_use(*products.chunk_of(effect)))

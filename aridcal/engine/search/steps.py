@@ -28,13 +28,13 @@ BETTER = 1.0
 def grown(
     state: State, choices: Choices, most: int, small: bool, progress: Progress
 ) -> tuple[State, tuple[Judgement, ...]]:
-    """A model with the candidates that pass, up to so many effects; and those that were judged last and did not.
+    """A model grown by candidates that pass the tests, and the judgements of the last candidates that did not.
 
     Args:
         state: The model as it is.
         choices: The candidates.
         most: Effects of the model at the most.
-        small: Whether all is tried again after each step.
+        small: Whether all effects are tried again after each step.
         progress: Told how many candidates are scored.
     """
     rejected: list[Judgement] = []
@@ -55,7 +55,7 @@ def grown(
         if small and len(state.active) > 1:
             state = tidied(state, choices, 1, progress)
         if frozenset(state.effects) in sets:
-            break  # what is added is taken out again: this goes round in circles
+            break  # effects are added and taken out again in circles
         sets.add(frozenset(state.effects))
     return state, tuple(rejected)
 
@@ -63,62 +63,62 @@ def grown(
 def _worth_judging(
     state: State, ranked: Sequence[tuple[Effect, Score]], choices: Choices
 ) -> Iterator[tuple[Effect, Score]]:
-    """The best candidates, as long as chance does not explain them, and the best of families of which several are found."""
-    for effect, found in ranked[:JUDGED]:
-        yield effect, found
-        if found.p_value * choices.count > ALPHA:
+    """The best candidates, as long as chance does not explain them, and the best of families with several members in it."""
+    for effect, score in ranked[:JUDGED]:
+        yield effect, score
+        if score.p_value * choices.count > ALPHA:
             break
     expected = [(e, s) for e, s in ranked if s.gain > 0.0 and choices.siblings(state.active, e)]
-    for effect, found in expected[:JUDGED]:
-        if found.p_value * choices.siblings(state.active, effect) < 1.0:
-            yield effect, refine(state, effect, found)
+    for effect, score in expected[:JUDGED]:
+        if score.p_value * choices.siblings(state.active, effect) < 1.0:
+            yield effect, refine(state, effect, score)
 
 
 def _with_rows_of_hints(state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
-    """The same effects solved with the flagged rows that a hint would explain: they are what it was seen by. And the hints."""
-    used, hints = state.used.copy(), hinted(state, kinds)
+    """The model solved with the flagged rows that a hint would explain, which are its evidence; and the hints."""
+    in_use, hints = state.used.copy(), hinted(state, kinds)
     for effect in hints:
         if effect.smooth or is_field(effect):
-            used |= np.any(state.model.columns(effect), axis=(1, 2))
-    if np.array_equal(used, state.used):
+            in_use |= np.any(state.model.columns(effect), axis=(1, 2))
+    if np.array_equal(in_use, state.used):
         return state, hints
-    state = solve_state(state.model, state.active, state.solution.sigma, used, fixed=True)
+    state = solve_state(state.model, state.active, state.solution.sigma, in_use, fixed=True)
     return state, hinted(state, kinds)
 
 
 def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> State:
-    """Take each effect out in turn: drop it if it is not missed, exchange it if another does better in its place.
+    """The model with each effect taken out in turn: dropped if it fails the tests, exchanged if another does better.
 
-    Curves that stay are shaped anew beside all else.
+    Curves that stay are shaped anew beside all other effects.
     """
     library = choices.library
     kinds = {e.kind for e in library}
-    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like all else.
+    # Harmonics of an order of their own, and steps, are no part of the library, but are tried again like the others.
     also = [e for e in state.effects if e.kind in kinds]
-    known = {*library, *also} - {a.effect for a in state.active if a.stated}
+    removable = {*library, *also} - {a.effect for a in state.active if a.declared}
     lasting = list(dict.fromkeys(e for e in (*library, *also) if e.at is None or e in also))
     for _ in range(rounds):
         before = state.effects
-        rough = score_without(state.model, lasting, state, known, progress)
+        rough = score_without(state.model, lasting, state, removable, progress)
         for k, effect in enumerate(before):
-            if effect not in known or effect not in state.effects:
+            if effect not in removable or effect not in state.effects:
                 continue
             without = without_effect(state, effect)
             rivals = in_place_of(state, library, effect)
             ranked = rank(without, rivals, {effect.kind}, also, progress, rough[effect])
-            mine = next((s for e, s in ranked if e == effect), None)
-            if mine is None:  # a map of the same joint, taken since, holds it
+            score = next((s for e, s in ranked if e == effect), None)
+            if score is None:  # a map of the same joint, added since, covers it
                 state = without
                 continue
             worth = {e: s.gain - choices.price(without.active, activate(without, e, s)) for e, s in ranked[:REFINED]}
-            best, its = max(ranked[:REFINED], key=lambda pair: worth[pair[0]])
-            own = mine.gain - choices.price(without.active, activate(without, effect, mine))
-            if best == effect or worth[best] < own + BETTER:
-                best, its = effect, mine
-            keep = not judge(without, best, its, choices).why
-            state = with_effect(without, best, its) if keep else with_flags(without)
+            best, best_score = max(ranked[:REFINED], key=lambda pair: worth[pair[0]])
+            worth_of_effect = score.gain - choices.price(without.active, activate(without, effect, score))
+            if best == effect or worth[best] < worth_of_effect + BETTER:
+                best, best_score = effect, score
+            keep = not judge(without, best, best_score, choices).why
+            state = with_effect(without, best, best_score) if keep else with_flags(without)
             if not keep or best != effect:
-                rough = score_without(state.model, lasting, state, known.intersection(before[k + 1 :]), progress)
+                rough = score_without(state.model, lasting, state, removable.intersection(before[k + 1 :]), progress)
         if state.effects == before:
             break
-    return reshaped(state, lambda a: a.effect in known)
+    return reshaped(state, lambda a: a.effect in removable)

@@ -1,4 +1,4 @@
-"""Which effects the residual asks for: the best added, all tried again, whole sets exchanged, until nothing more is worth it."""
+"""Effects added one at a time, tried again and exchanged, alone and as sets, until no change is worth it."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ PASSES = 4
 
 @dataclass(frozen=True)
 class Found:
-    """The effects found.
+    """The result of a search.
 
     Attributes:
         state: The final set.
-        rejected: The best of those that were not taken, and why.
+        rejected: The best candidates that were refused, and why.
         tested: Number of candidates.
     """
 
@@ -44,18 +44,18 @@ def search(
     exchange: bool = True,
     progress: Progress = SILENT,
 ) -> Found:
-    """Add effects one at a time, test again what was taken and what was not, until nothing more is worth it.
+    """Add effects one at a time, and try again those in the model and those out of it, until no change is worth it.
 
-    Where that is cheap, causes of a single motion come first: one that moves a frame in several ways explains a part of each of
-    several simple ones, and none of these is missed alone then.
+    Where that is cheap, causes of a single motion come first: a cause that moves a frame in several ways explains a part of
+    several simple ones, and none of these is missing by itself then.
 
     Args:
         start: Effects to begin with; see :func:`~aridcal.engine.search.state.solve_state`.
         library: All candidates.
         most: Effects to add at the most.
-        tested: Candidates of which the library holds the most promising ones, if it does.
+        tested: Number of all candidates, where the library holds the most promising ones alone.
         exchange: Whether effects may be exchanged for others; else they are only added.
-        progress: Told how many candidates are scored.
+        progress: Called with the number of candidates scored.
     """
     choices = Choices.of(library, tested)
     most += len(start.active)
@@ -70,16 +70,16 @@ def search(
     return Found(state, rejected, choices.count)
 
 
-def exchanged(found: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
-    """What was found among all candidates, or a better set that single steps do not lead to; sought where that is cheap."""
-    state = found.state
+def exchanged(result: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
+    """The result, or one with a better set that single steps do not lead to; such sets are tried where that is cheap."""
+    state = result.state
     if not is_small(state.model, library):
-        return found
-    return replace(found, state=regrown(state, Choices.of(library, found.tested), progress))
+        return result
+    return replace(result, state=regrown(state, Choices.of(library, result.tested), progress))
 
 
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
-    """Effects added and tidied in turn, until both change nothing."""
+    """The model with effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
     for _ in range(PASSES):
         state, rejected = grown(state, choices, most, True, progress)
@@ -91,17 +91,17 @@ def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tu
 
 
 def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
-    """The model without those of its effects that would not pass the gates now, tried one after the other.
+    """The model without the effects that would fail the tests now, tried one after the other.
 
     Args:
-        state: Solved with effects that were found on other rows or with other weights.
-        tested: Candidates among which they stood out.
-        progress: Told how many are tried.
+        state: Solved with effects from a search with other rows or weights.
+        tested: Number of candidates of that search.
+        progress: Called with the number of effects tried.
     """
     choices = Choices.of(state.effects, tested)
-    for effect in progress.over([a.effect for a in state.active if not a.stated], "effects"):
+    for effect in progress.over([a.effect for a in state.active if not a.declared], "effects"):
         without = without_effect(state, effect)
-        found = score_of(without, effect)
-        keep = not judge(without, effect, found, choices).why
-        state = with_effect(without, effect, found) if keep else with_flags(without)
+        score = score_of(without, effect)
+        keep = not judge(without, effect, score, choices).why
+        state = with_effect(without, effect, score) if keep else with_flags(without)
     return state
