@@ -1,4 +1,4 @@
-"""What no reading told of a calibration, in use: beside the model's own coefficients, and row by row."""
+"""Constants that no reading tells, in use: beside the model's own coefficients, and row by row."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tu
     Args:
         model: K coefficients.
         theta: Their values, shape (K,).
-        untold: Combinations that are as uncertain as they say; all else is held.
+        untold: Combinations, with the sigmas that they state; the model's own coefficients are held.
     """
     others = {c for part in untold for c, _ in part} - set(model.coefficients)
     every = (*model.coefficients, *sorted(others, key=lambda c: c.name))
@@ -30,14 +30,14 @@ def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tu
 
 
 def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:
-    """Rows of whose target all is told, shape (N,) bool.
+    """Rows at which the readings tell the target wholly, shape (N,) bool.
 
     Args:
-        model: Of the calibration.
-        theta: Its coefficients.
-        untold: What no reading told.
-        rows: N of them.
-        turns: Whether the target's rotation is asked about.
+        model: The model of a calibration.
+        theta: Its coefficients, shape (K,).
+        untold: Combinations of constants that no reading tells.
+        rows: N rows.
+        turns: Whether the target's rotation counts, too.
     """
     covariance = target_covariance(*with_untold(model, theta, untold), rows)
     parts = CHANNELS if turns else CHANNELS[:1]
