@@ -30,7 +30,7 @@ OF_POSES = ("position", "rotation")
 DIRECTION = "_direction"
 
 # Farther than any arm reaches, [m].
-FAR = 100.0
+BEYOND_REACH = 100.0
 
 # Quantities of a table beside those of its kind: which of several targets was measured, which image was looked at.
 TARGET, SHOT = "target", "shot"
@@ -44,7 +44,7 @@ ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
 # Seconds in one of each unit of time.
 TIMES = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0})
 
-# The same of tolerances.
+# Radians in one of each unit of a tolerance of angles.
 SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
 
 
@@ -235,20 +235,20 @@ class Units(Section):
         return ANGLES[self.angle]
 
     def scale(self, column: str, of: Literal["length", "angle", "time"]) -> float:
-        """SI units in one of a column's.
+        """SI units in one unit of a column.
 
         Raises:
-            CampaignError: its own unit is one of something else.
+            CampaignError: the column's own unit is of another quantity.
         """
-        usual, known = {
+        usual, units = {
             "length": (self.length, LENGTHS), "angle": (self.angle, ANGLES), "time": ("s", TIMES)
         }[of]  # fmt: skip
         unit = self.columns.get(column, usual)
-        if unit not in known:
+        if unit not in units:
             raise CampaignError(
-                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(known)}"
+                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(units)}"
             )
-        return known[unit]
+        return units[unit]
 
     def joint(self, column: str, kind: str) -> float:
         """Radians, or metres of a prismatic joint, in one of the unit of a joint's column."""
@@ -261,7 +261,7 @@ SEQUENCE = re.compile(r"(?!.*(.)\1)([xyz]{3}|[XYZ]{3})")
 HOW_WRITTEN = (
     "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
 )
-"""What an orientation can be."""
+"""Ways to write an orientation."""
 
 
 class Orientation(Section):
@@ -353,7 +353,7 @@ class MeasurementSettings(Section):
     target: str | None = None
     """Which target was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
-    """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
+    """Whether the joints' columns are what the controller reports or what it was commanded; `None`: not stated."""
     links: tuple[str, str] | None = None
     """Between which all rows are; for `kind: joined`."""
     noise: Noise = Noise()
@@ -363,7 +363,7 @@ class MeasurementSettings(Section):
     joints: dict[str, JointColumn] = Field(default_factory=dict)
     """Joints whose columns count otherwise than the URDF: backwards, or from another zero."""
     inverted: Literal["pose", "orientation"] | None = None
-    """What the tables hold the other way round: T_target_world as a whole, or its orientation alone; `None`: nothing."""
+    """Quantity that the tables hold inverted: T_target_world as a whole, or its orientation alone; `None`: nothing."""
     table: TableSettings = TableSettings()
     """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()
@@ -391,10 +391,10 @@ class MeasurementSettings(Section):
     @model_validator(mode="after")
     def _what_the_kind_has(self) -> MeasurementSettings:
         of_poses = self.traits.places
-        known = OF_POSES if of_poses else tuple(channel.name for channel in self.traits.channels)
-        for channel in sorted(self.noise.model_fields_set - {"rows"} - set(known)):
+        names = OF_POSES if of_poses else tuple(channel.name for channel in self.traits.channels)
+        for channel in sorted(self.noise.model_fields_set - {"rows"} - set(names)):
             raise ValueError(
-                f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(known)}"
+                f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(names)}"
             )
         if self.noise.rows != "relative" and not of_poses:
             raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
@@ -416,7 +416,7 @@ class MeasurementSettings(Section):
         return self
 
     def sense(self, quantity: str) -> int:
-        """-1 of the side from which a joint came whose column counts backwards, else 1."""
+        """-1 for the approach direction of a joint whose column counts backwards, else 1."""
         joint = self.joints.get(quantity.removesuffix(DIRECTION)) if quantity.endswith(DIRECTION) else None
         return 1 if joint is None else joint.sign
 
@@ -432,7 +432,7 @@ class MeasurementSettings(Section):
 
     @property
     def needs(self) -> set[str]:
-        """Columns without which a table is none of this block, beside the joints."""
+        """Columns that a table of this block must have beside the joints."""
         names: tuple[str, ...]
         if self.traits.tracked:
             turned = self.orientation.own or ("qx", "qy", "qz", "qw")
