@@ -54,11 +54,11 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 def _all_kinds(candidates: Any) -> Any:
     """Names of kinds; `all` for those that need not be asked for."""
-    every = [name for name, kind in KINDS.items() if not kind.asked]
+    usual = [name for name, kind in KINDS.items() if not kind.asked]
     named = listed(candidates)
     if named is None:
         return None
-    names = [name for word in named for name in (every if word == "all" else [word])]
+    names = [name for word in named for name in (usual if word == "all" else [word])]
     return tuple(name for k, name in enumerate(names) if name not in names[:k])
 
 
@@ -83,9 +83,9 @@ class ArmSettings(Section):
     packages: dict[str, RelativePath] = Field(default_factory=dict)
     """Folders of packages of ROS that the URDF names and that are not found by themselves."""
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
-    """Of a xacro file."""
+    """Arguments of a xacro file."""
     joints: dict[str, Number] = Field(default_factory=dict)
-    """Where joints without a column stand in all rows, rad or m."""
+    """Positions of joints without a column, the same in all rows, rad or m."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
     """Factors of joints without a column that follow several others."""
 
@@ -99,7 +99,7 @@ class RobotSettings(ArmSettings):
     """The robot of a campaign, and where down is."""
 
     tip: str = ""
-    """Of the default path; a campaign that leaves it out has that of :meth:`Job._tip_is_known`."""
+    """End of the default path; :meth:`Job._tip_is_known` says which it is where a campaign leaves it out."""
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
@@ -229,7 +229,7 @@ class PayloadSettings(Section):
     """A mass that hangs at the origin of a link."""
 
     column: str = "payload"
-    """Of the tables, in kg."""
+    """Column of the tables, in kg."""
     on: str
     """Link of the URDF."""
 
@@ -245,7 +245,7 @@ def _with(section: AnySection, key: str, value: object) -> AnySection:
 
 
 class Job(Settings):
-    """What a campaign and a scenario have in common."""
+    """The keys that a campaign and a scenario have in common."""
 
     robot: RobotSettings
     listed: Annotated[Annotated[tuple[MeasurementSettings, ...], Field(min_length=1)], WrapValidator(_if_listed)] = (
@@ -256,7 +256,7 @@ class Job(Settings):
     """The only block, or the first."""
     instruments: InstrumentSettings = InstrumentSettings()
     payload: Payloads = ()
-    """Where payloads hang, if there is not one at the target of the default path."""
+    """Payloads and their links, if there is not just one at the target of the default path."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()

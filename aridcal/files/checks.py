@@ -61,19 +61,19 @@ def refuse_copies(
         sequence: Numbers of the rows as they were measured, shape (N,).
     """
     rows = sequence[source.usable[sequence]]
-    compared = (every for every in (*columns, *labels) if every is not None)
-    first = rows[first_alike(column[rows] for every in compared for column in np.atleast_2d(every.T))]
+    compared = (cells for cells in (*columns, *labels) if cells is not None)
+    first = rows[first_alike(column[rows] for cells in compared for column in np.atleast_2d(cells.T))]
     copies = rows != first
     for row, original in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
         source.refused.append(source.table.remark(row, "", f"identical to {_line(source, original, row)}"))
         source.usable[row] = False
 
 
-def _line(source: Source, there: int, here: int) -> str:
-    """Where a row stands, as a remark on another row says it: with its file, if that is another one."""
+def _line(source: Source, row: int, remarked: int) -> str:
+    """The line of a row, for a remark on another row: with its file, if that is another one."""
     table = source.table
-    file = "" if table.file[here] == table.file[there] else f" of {table.files[table.file[there]].name}"
-    return f"line {table.line[there]}{file}"
+    file = "" if table.file[remarked] == table.file[row] else f" of {table.files[table.file[row]].name}"
+    return f"line {table.line[row]}{file}"
 
 
 def stale_rows(

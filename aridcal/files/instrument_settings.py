@@ -14,7 +14,7 @@ from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.files.yaml_file import Number, Positive, RelativePath, Section, Vector3
 
 EXACT_STD = 1e-5
-"""[m], [rad] Sigma of a length or a right angle where none is stated: finer than workshops measure them."""
+"""[m], [rad]: sigma of a length or a right angle where none is stated: finer than workshops measure them."""
 
 CONTRADICTION_SIGMAS = 3.0
 """Sigmas by which known lengths may contradict each other."""
@@ -23,10 +23,10 @@ LEAST_NORMAL = 1e-9
 """Length of a normal below which it points nowhere."""
 
 Side = Annotated[int, Field(ge=1, le=100_000)]
-"""Of an image, [px]: the largest sensors have some 15,000."""
+"""Width or height of an image, [px]: the largest sensors have some 15,000."""
 
 Carrier = str
-"""What something is fixed to: ``tip``, ``world``, or a link of the URDF."""
+"""Name of what carries a thing: ``tip``, ``world``, or a link of the URDF."""
 
 
 def _as_label(label: Any) -> Any:
@@ -45,7 +45,7 @@ class Placement(Section):
 
     @property
     def homogeneous(self) -> np.ndarray:
-        """The same as a matrix, shape (4, 4)."""
+        """The frame as a matrix, shape (4, 4)."""
         R = pin.rpy.rpyToMatrix(np.array(self.rpy))
         return np.asarray(pin.SE3(R, np.array(self.xyz)).homogeneous)
 
@@ -168,7 +168,7 @@ class ArmCameraSettings(Placement):
     """Principal point, [px]; the middle of the first pixel is 0."""
     width: Side
     height: Side
-    """Of the images, [px]."""
+    """Size of the images, [px]."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
     on: Carrier = TIP
@@ -277,8 +277,8 @@ class InstrumentSettings(Section):
     @property
     def boards(self) -> dict[Carrier, MarkerSettings]:
         """Boards with a table of their markers' places, by carrier."""
-        other = next(iter(self.sides.values()), WORLD)
-        return {board.on or other: board for board in self.markers if board.file is not None}
+        usual = next(iter(self.sides.values()), WORLD)
+        return {board.on or usual: board for board in self.markers if board.file is not None}
 
     def looked_at(self, camera: str) -> tuple[Carrier, ...]:
         """Carriers of the markers that a camera looks at: those of boards beside its own carrier, else that of single markers."""

@@ -121,7 +121,7 @@ class Noise(Section):
     inclination: Sigma | None = None
     """[rad]"""
     rows: Literal["relative", "absolute", "ignore"] = "relative"
-    """What the `std_*` columns are taken for."""
+    """Meaning of the `std_*` columns."""
 
 
 SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
@@ -129,7 +129,7 @@ SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
 THOUSANDS = {"": "", ".": ".", ",": ",", "'": "'", "blank": " "}
 
 LAST_LINE = 100_000
-"""Below which no header stands."""
+"""Last line that a header may have."""
 
 
 def _of_text(encoding: str) -> str:
@@ -157,7 +157,7 @@ class DatesSettings(Section):
     """Columns that hold dates or times of day: they become one of seconds."""
 
     order: Literal["ymd", "dmy", "mdy"] = "ymd"
-    """Of day, month and year where all three are numbers."""
+    """Order of day, month and year where all three are numbers."""
     columns: Annotated[tuple[Name, ...], BeforeValidator(listed), Field(min_length=1, max_length=2)]
 
 
@@ -165,7 +165,7 @@ class TableSettings(Section):
     """How the files are written."""
 
     sheet: Name = ""
-    """Of a workbook, where it has several; of `export: robot_calibration` the sensor."""
+    """Sheet of a workbook with several; sensor of an `export: robot_calibration`."""
     encoding: Annotated[str, AfterValidator(_of_text)] = "utf-8"
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
     decimal: Literal[".", ","] = "."
@@ -175,9 +175,9 @@ class TableSettings(Section):
     first_row: Line | None = None
     """Line of the first row; `None`: below the header."""
     comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
-    """What lines begin with that are no rows."""
+    """Beginnings of lines that are no rows."""
     names: tuple[Name, ...] = ()
-    """Of the columns, in place of a header."""
+    """Names of the columns, in place of a header."""
     lists: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Columns whose cells hold several numbers, and names for these."""
     dates: DatesSettings | None = None
@@ -222,7 +222,7 @@ class Units(Section):
     length: Annotated[str, one_of(LENGTHS)] = "m"
     angle: Annotated[str, one_of(ANGLES)] = "rad"
     columns: dict[str, Annotated[str, one_of({**LENGTHS, **ANGLES, **TIMES})]] = Field(default_factory=dict)
-    """Of single columns that are in another one."""
+    """Units of single columns that differ from these."""
 
     @property
     def metres(self) -> float:
@@ -347,15 +347,15 @@ class MeasurementSettings(Section):
     """Settings of the measuring head; for `kind: camera_sonar`."""
     kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
     name: str | None = None
-    """Of the block; `None`: its kind."""
+    """Name of the block; `None`: its kind."""
     camera: str | None = None
-    """Which took the images, where the table of `pixels` has no column `camera`."""
+    """Camera that took the images, where the table of `pixels` has no column `camera`."""
     target: str | None = None
-    """Which target was measured, where the table has no column `target`."""
+    """Target that was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
     """Whether the joints' columns are what the controller reports or what it was commanded; `None`: not stated."""
     links: tuple[str, str] | None = None
-    """Between which all rows are; for `kind: joined`."""
+    """Links between which all rows are; for `kind: joined`."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
@@ -452,5 +452,5 @@ class MeasurementSettings(Section):
         if kind.tracked:
             return (TARGET,)
         labels = [role.name for role in kind.roles if role.name != "board"]  # which board it is, the camera says
-        more = () if kind.bare else (TARGET,)
-        return (*kind.read, *labels, *((SHOT,) if kind.images else more))
+        target = () if kind.bare else (TARGET,)
+        return (*kind.read, *labels, *((SHOT,) if kind.images else target))

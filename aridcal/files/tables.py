@@ -155,8 +155,8 @@ class Table:
         spare = [name for name in self.names if name and name not in columns]
         names_and_hints = ", ".join(repr(name) + _close(name, spare) for name in missing[:SHOWN_MISSING])
         names_and_hints += f" and {len(missing) - SHOWN_MISSING} more" if len(missing) > SHOWN_MISSING else ""
-        there = listed([name or "''" for name in self.names])
-        raise MeasurementError(f"{self.title}: no column {names_and_hints}; there are: {there}. {advice}".rstrip())
+        present = listed([name or "''" for name in self.names])
+        raise MeasurementError(f"{self.title}: no column {names_and_hints}; there are: {present}. {advice}".rstrip())
 
 
 def path_of(table: AnyTable) -> Path:
@@ -339,11 +339,11 @@ def _floats(column: pa.ChunkedArray) -> np.ndarray:
     """Numbers of a column, NaN in its holes: from Arrow's own bytes, for its conversions all load pandas, which takes a while."""
     parts = [np.empty(0)]
     for chunk in column.chunks:
-        here = slice(chunk.offset, chunk.offset + len(chunk))
+        of_chunk = slice(chunk.offset, chunk.offset + len(chunk))
         holes = chunk.is_null().cast(pa.uint8())
         if len(chunk):
             empty = np.frombuffer(holes.buffers()[1], dtype=np.uint8)[holes.offset : holes.offset + len(chunk)]
-            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[here]))
+            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[of_chunk]))
     return np.concatenate(parts)
 
 

@@ -1,4 +1,4 @@
-"""What is known beforehand of the things that rows refer to: points, anchors, planes, cameras, boards and markers."""
+"""Prior knowledge of the things that rows refer to: points, anchors, planes, cameras, boards and markers."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class Known:
         return {BOARD + carrier: board for carrier, board in self.settings.boards.items()}
 
     def carrier(self, role: str, label: str) -> str:
-        """What carries a thing: ``tip``, ``world`` or a link."""
+        """Carrier of a thing: ``tip``, ``world`` or a link."""
         declared = self.settings.declared.get(role, {})
         if label in declared:
             return declared[label].on
@@ -302,14 +302,14 @@ def _role_of(
         )
     if having:
         return having[0]
-    there = sorted({label for role in roles for label in by_role.get(role, ())})
+    labels = sorted({label for role in roles for label in by_role.get(role, ())})
     for label in pair:
-        if label not in there and label not in declarations.points and label not in declarations.markers:
+        if label not in labels and label not in declarations.points and label not in declarations.markers:
             raise CampaignError(
-                f"{declarations.origin}: instruments.{key}: no usable row refers to {label!r}{nearest(label, there)}; "
+                f"{declarations.origin}: instruments.{key}: no usable row refers to {label!r}{nearest(label, labels)}; "
                 "name what rows do"
             )
-    if set(pair) <= set(there):
+    if set(pair) <= set(labels):
         raise CampaignError(
             f"{declarations.origin}: instruments.{key}: {' and '.join(pair)} are not of one sort; name two that are"
         )

@@ -37,10 +37,10 @@ LARGEST_INTEGER = 2**63
 """Whole numbers beyond are no row, no seed and no length; Python does not even print one of 5,000 digits."""
 
 MOST_DIGITS = 70
-"""Of a whole number: 64 binary ones, their mark and a sign."""
+"""Characters of a whole number at the most: 64 binary digits, their mark and a sign."""
 
 LARGEST_NUMBER = 1e15
-"""Of any other number, a time in microseconds for instance: its square and its products are numbers, too."""
+"""Largest number with a fraction, a time in microseconds for instance: its square and its products are numbers, too."""
 
 LARGEST = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
@@ -121,24 +121,24 @@ class Limits(Section):
 
     urdf_mb: float = Field(default=URDF.megabytes, gt=0, le=1e6)
     table_mb: float = Field(default=TABLE.megabytes, gt=0, le=1e6)
-    """Of a table as a file, and of its cells in memory, eight bytes each."""
+    """Megabytes of a table as a file, and of its cells in memory, eight bytes each."""
     image_mb: float = Field(default=IMAGE.megabytes, gt=0, le=1e6)
     image_megapixels: float = Field(default=100.0, gt=0, le=1e6)
     """No camera that measures has more: 100."""
 
     @property
     def urdf(self) -> Limit:
-        """Of a URDF."""
+        """Limit of a URDF."""
         return Limit(self.urdf_mb, URDF.key)
 
     @property
     def table(self) -> Limit:
-        """Of a table."""
+        """Limit of a table."""
         return Limit(self.table_mb, TABLE.key)
 
     @property
     def image(self) -> Limit:
-        """Of an image as a file."""
+        """Limit of an image as a file."""
         return Limit(self.image_mb, IMAGE.key)
 
 

@@ -79,11 +79,11 @@ class Certainty:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the target is to be known for.
+    """Requirements on the certainty of the target.
 
     Attributes:
         tool: A point that moves with the target, in its axes, [m].
-        tolerance: How far it may be off in 95 % of the region, [m], and turned, [rad]; None where nobody says.
+        tolerance: Error of the place [m] and of the turn [rad] that 95 % of the region may have; None where not stated.
         title: The region in words.
     """
 

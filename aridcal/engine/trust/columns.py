@@ -63,11 +63,11 @@ class Columns:
     def solved(self, some: np.ndarray | slice = slice(None)) -> Eliminated:
         """The things solved from some of the rows alone."""
         count, channels = self.J.shape[2], len(self.channels)
-        many, width = (0, 0) if self.groups is None else self.groups.unknown.shape
+        count_of_groups, width = (0, 0) if self.groups is None else self.groups.unknown.shape
         sums = Sums(
-            np.zeros((channels, many, width, width)),
-            np.zeros((channels, many, width, count)),
-            np.zeros((channels, many, width)),
+            np.zeros((channels, count_of_groups, width, width)),
+            np.zeros((channels, count_of_groups, width, count)),
+            np.zeros((channels, count_of_groups, width)),
         )
         if self.groups is None:
             empty = np.zeros((0, 0, 0))
@@ -114,11 +114,11 @@ class Columns:
 def _linearised_rows(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
     """Numbers of the rows that are linearised, and their problem: bases of all other rows would take much memory."""
     model = fit.model.with_coefficients(()) if data.direct else fit.model
-    every = problem(model, data, progress)  # where things are between, all rows tell of these
-    chosen = thin(every.rows, most, every.groups)
+    whole = problem(model, data, progress)  # where things are between, all rows tell of these
+    chosen = thin(whole.rows, most, whole.groups)
     chosen = chosen[fit.weight[chosen] > 0.0]
-    some = every if len(chosen) == len(every) else every.select(chosen)
-    return chosen, (problem(fit.model, some.data, progress) if data.direct else some).agreeing(fit.theta)
+    part = whole if len(chosen) == len(whole) else whole.select(chosen)
+    return chosen, (problem(fit.model, part.data, progress) if data.direct else part).agreeing(fit.theta)
 
 
 def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: Progress = SILENT) -> Columns:
@@ -150,7 +150,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
             target[block] = piece.J[:, :3]  # the target's own position is what rows measure first
         else:
             target[block] = fit.model.jacobian(fit.theta, fit_problem.rows[block])[2][:, :3]
-    there = ~fit_problem.measured.absent
+    measured = ~fit_problem.measured.absent
     nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
@@ -158,7 +158,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         r=r,
         J=J,
         B=B,
-        there=there,
+        there=measured,
         group=fit_problem.group_of(slice(None)),
         groups=fit_problem.groups,
         known=fit_problem.beforehand() or nothing,

@@ -76,7 +76,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Known:
-    """What rows tell of the constants.
+    """How well rows tell the constants.
 
     Attributes:
         names: Identifiable constants, K' of them: none can be left out unless its value is known.
@@ -156,10 +156,10 @@ def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[
         for j in range(i + 1, len(names)):
             if units[i] != units[j]:
                 continue
-            both, cross = covariance[i, i] + covariance[j, j], 2.0 * covariance[i, j]
-            if both - abs(cross) <= 0.0:
+            squares, cross = covariance[i, i] + covariance[j, j], 2.0 * covariance[i, j]
+            if squares - abs(cross) <= 0.0:
                 continue  # one of the two is known to rounding
-            pair = Pair(names[i], names[j], units[i], float(np.sqrt(both + cross)), float(np.sqrt(both - cross)))
+            pair = Pair(names[i], names[j], units[i], float(np.sqrt(squares + cross)), float(np.sqrt(squares - cross)))
             if pair.ratio >= TOGETHER:
                 pairs.append(pair)
     return tuple(sorted(pairs, key=lambda pair: -pair.ratio))

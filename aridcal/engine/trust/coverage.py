@@ -1,4 +1,4 @@
-"""What the fitted rows were like, and whether others are like them: ranges, holes in these, and how sure predictions were."""
+"""Coverage of the fitted rows, and whether other rows lie inside: ranges, holes in these, and how sure predictions were."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ CHANNELS = (slice(0, 3), slice(3, 6))
 
 @dataclass(frozen=True)
 class Seen:
-    """What the fitted rows of a calibration were like.
+    """Coverage of the fitted rows of a calibration.
 
     Attributes:
-        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
-        holes: Where nothing was seen inside those ranges.
+        ranges: Lowest and highest value of every joint column and covariate that the model depends on.
+        holes: Holes inside those ranges.
         largest: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
             three axes together.
     """

@@ -68,11 +68,11 @@ class Folds:
 
 @dataclass(frozen=True)
 class Influence:
-    """What leaving out each row does.
+    """Change of a calibration without each of its rows.
 
     Attributes:
         rows: Numbers among the fitted rows, shape (n,), the largest shift first.
-        shift: RMS over all rows by which the predicted target moves, [m], shape (n,).
+        shift: Shift of the predicted target, RMS over all rows, [m], shape (n,).
         sigma: RMS 1-sigma of the predicted target over all rows, all three axes, [m].
         leverage: Share of each row in its own prediction: trace of L over the numbers that it measures, 0 to 1, shape (n,).
         cook: Cook's distance, shape (n,).
@@ -118,23 +118,26 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
         return None
     fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
     things = rows.solved()
-    every = rows.equations(things) if rows.groups is not None else None
+    sums_of_all = rows.equations(things) if rows.groups is not None else None
     whole = len(rows) / max(int((~fit.outliers).sum()), 1) * fit.information
     residuals = rows.r.copy()
     for k in range(FOLDS):
         out = fold == k
-        rest = rows.solved(~out)
-        if every is None:  # sums over rows: the others' are all less those of these
+        things_of_rest = rows.solved(~out)
+        if sums_of_all is None:  # sums over rows: the others' are all less those of these
             H_out, g_out = rows.equations(things, out)
         else:
-            H_out, g_out = (all_of - those for all_of, those in zip(every, rows.equations(rest, ~out), strict=True))
+            H_out, g_out = (
+                all_of - remaining
+                for all_of, remaining in zip(sums_of_all, rows.equations(things_of_rest, ~out), strict=True)
+            )
         step = solve(whole - H_out, -g_out, ridge=RIDGE)
         residuals[out] -= rows.J[out] @ step
         if rows.groups is not None:
             group = rows.group[out]
             of_things = group >= 0
-            y = rest.y - rest.X @ step
-            undetermined = of_things & (rest.rank < things.rank)[group]
+            y = things_of_rest.y - things_of_rest.X @ step
+            undetermined = of_things & (things_of_rest.rank < things.rank)[group]
             by_things = np.einsum("nmu,nu->nm", rows.B[out], y[group])
             residuals[out] -= np.where(of_things[:, None], by_things, 0.0)
             residuals[out] = np.where(undetermined[:, None], np.nan, residuals[out])
@@ -172,8 +175,8 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
         L[grouped] = B[grouped] @ things.inverse[group] @ B[grouped].transpose(0, 2, 1)
     L += _shares(J, fit.covariance)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
-    rest = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
-    pull = -(J.transpose(0, 2, 1) @ rest)[:, :, 0]
+    weighted = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
+    pull = -(J.transpose(0, 2, 1) @ weighted)[:, :, 0]
     step = pull @ fit.covariance
     at_target = rows.target.reshape(-1, K)
     T = at_target.T @ at_target / n

@@ -1,4 +1,4 @@
-"""What was found, in figures: each effect's gain on held-out rows, its curve, and whether the rest is noise."""
+"""The search in figures: each effect's gain on held-out rows, its curve, and whether the rest is noise."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Curve:
     """An effect's motion over its covariate, with the rows behind it.
 
     Attributes:
-        component: What moves.
+        component: Component of the motion.
         unit: ``m`` or ``rad``.
-        covariate: What it depends on.
+        covariate: The covariate.
         at: Values of the covariate, shape (G,).
         value: The identified motion there, shape (G,).
         std: Its standard deviation, shape (G,).
-        seen: Covariate of the rows, shape (N,).
+        seen: Values of the covariate at the rows, shape (N,).
         pulled: Motion that each row asks for by itself: its residual pulled back to this place, shape (N,).
     """
 
@@ -66,7 +66,7 @@ class NamedEffect:
     """An effect that was accepted or declared.
 
     Attributes:
-        effect: What, where, on what it depends; all its coefficients.
+        effect: The effect, with all its coefficients.
         declared: True if the campaign named it.
         p_value: After correction for the number of candidates, not below 1e-300.
         before: Residuals of the test rows of the final model without it, the rest refitted, shape (T, m).
@@ -91,7 +91,7 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that was looked at closely and not taken."""
+    """A candidate that was examined closely and not accepted."""
 
     effect: Effect
     p_value: float
@@ -101,12 +101,12 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the search for undeclared effects did.
+    """Results of the search for undeclared effects.
 
     Attributes:
         effects: Accepted and declared effects, the largest gain first.
-        rejected: The best of those that were not taken.
-        barred: What could not be tested, and why.
+        rejected: The best candidates among those that were not accepted.
+        barred: Effects that could not be tested, and why.
         tested: Number of candidates.
         clues: Whether what remains is noise.
         over_time: Position error of the fitted rows with whole stretches of time held back in turn, RMS [m]; None where
@@ -124,7 +124,7 @@ class Diagnosis:
 
 
 def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
-    """Gather what the search did.
+    """Gather the results of the search.
 
     Args:
         diagnosed: The search and the final model.
@@ -196,8 +196,8 @@ def _over_time(diagnosed: Diagnosed) -> float | None:
     of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
     if not of_time:
         return None
-    rest = [a for a in state.active if a is not of_time[-1]]
-    without_it = state.with_active(rest, fixed=True)
+    other_effects = [a for a in state.active if a is not of_time[-1]]
+    without_it = state.with_active(other_effects, fixed=True)
     squares = held_back(without_it, of_time[-1], linear.run[state.used] % PARTS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
@@ -245,8 +245,8 @@ def _without(fit_problem: Problem, fit: Fit, effect: Effect) -> np.ndarray:
 def _rms(r: np.ndarray, channels: Channels) -> float:
     """RMS error in the first channel that the rows measure; 0 of no rows."""
     part = columns(channels)[0]
-    there = r[~np.isnan(r[:, part.start])][:, part]
-    return float(np.sqrt(np.mean(np.sum(there**2, axis=1)))) if len(there) else 0.0
+    measured = r[~np.isnan(r[:, part.start])][:, part]
+    return float(np.sqrt(np.mean(np.sum(measured**2, axis=1)))) if len(measured) else 0.0
 
 
 def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:

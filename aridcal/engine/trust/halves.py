@@ -131,7 +131,7 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
     if len(fit.theta) == 0 or np.all(fit.estimated <= EXACT * FLOOR):
         return None
     of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
-    of_half = np.array([_of_half(c) for c in fit.model.coefficients])
+    of_half = np.array([_is_of_half(c) for c in fit.model.coefficients])
     rows = train.select(of_rows.rows)
     frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
     at_target = _at_target(of_rows.target, of_half, frames)
@@ -164,7 +164,7 @@ def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
     return {name: values for name, values in table.items() if GRAVITY in name}
 
 
-def _of_half(c: Coefficient) -> bool:
+def _is_of_half(c: Coefficient) -> bool:
     """True for a coefficient that each half has of its own: all but samples of smooth functions and frames of single stations."""
     return not c.basis.smooth and c.station is None
 
@@ -220,14 +220,14 @@ class _Comparison:
 
 
 def _comparisons(
-    rows: Columns, ways: list[Division], own: np.ndarray, data: Dataset, at_target: np.ndarray
+    rows: Columns, divided: list[Division], of_half: np.ndarray, data: Dataset, at_target: np.ndarray
 ) -> Iterator[_Comparison]:
     """Compare the halves of every division that leaves enough numbers.
 
     Args:
         rows: N rows of m numbers.
-        ways: The divisions.
-        own: Coefficients that each half has of its own, shape (K,) bool.
+        divided: The divisions.
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
         data: The same rows.
         at_target: Square of a difference of those coefficients at the target, shape (k, k); see :func:`_at_target`.
     """
@@ -248,7 +248,7 @@ def _comparisons(
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
     freedom = round(float(numbers)) - spent
     least = np.full(flat.shape[1], np.inf)
-    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.labels.route), strict=True):
+    for division, side in zip(divided, _sides(rows, divided, of_half, things, flat, data.labels.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
         root = root_of_inverse(M, RANK)
         d = len(root)
@@ -264,7 +264,7 @@ def _comparisons(
         difference, moved = root.T @ w[:, worst], np.full(len(F), np.nan)
         usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny) if worst.any() else np.nan
         moved[worst] = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
-        yield _Comparison(way, p_values, float(F[0]), (d, freedom - d), usual, moved)
+        yield _Comparison(division, p_values, float(F[0]), (d, freedom - d), usual, moved)
 
 
 @dataclass(frozen=True)
@@ -284,8 +284,8 @@ class _Side:
 
 def _sides(
     rows: Columns,
-    ways: list[Division],
-    own: np.ndarray,
+    divided: list[Division],
+    of_half: np.ndarray,
     things: Eliminated,
     flat: np.ndarray,
     route: np.ndarray | None,
@@ -294,66 +294,69 @@ def _sides(
 
     Args:
         rows: N rows of m numbers.
-        ways: The divisions.
-        own: Coefficients that each half has of its own, shape (K,) bool.
+        divided: The divisions.
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
         things: Things of all rows: rows share them, so that sums over parts of the rows do not add up to those over all.
         flat: Residuals and draws after the fit of all coefficients, shape (N m, 1 + DRAWS).
         route: Number of the path that each row takes, shape (N,); None where all take one.
     """
     N, m, K = rows.J.shape
     if rows.groups is not None:
-        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(own.sum())))
-        for way in ways:
-            A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(of_half.sum())))
+        for division in divided:
+            A = np.where(division.side[:, None, None], rows.J[:, :, of_half], 0.0)
             AP = rows.less(A, none, things)[0].reshape(N * m, -1)
             A = A.reshape(N * m, -1)
             yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
         return
     path_of_row = np.zeros(N) if route is None else route
     limbs = [
-        _Limb(np.flatnonzero(path_of_row == path), rows.J, own, flat.reshape(N, m, -1))
+        _Limb(np.flatnonzero(path_of_row == path), rows.J, of_half, flat.reshape(N, m, -1))
         for path in np.unique(path_of_row)
     ]
     sides_of: dict[str, dict[bytes, _Side]] = {}
-    for way in ways:
-        if way.of not in sides_of:
-            same = np.array([other.side for other in ways if other.of == way.of])
+    for division in divided:
+        if division.of not in sides_of:
+            same = np.array([sibling.side for sibling in divided if sibling.of == division.of])
             bits = np.arange(len(same))[::-1]
             code, number = np.unique(2**bits @ same, return_inverse=True)
             parts = code >> bits[:, None] & 1
-            crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
+            crosses, pulls = (
+                np.zeros((len(same), K, of_half.sum())),
+                np.zeros((len(same), of_half.sum(), flat.shape[1])),
+            )
             for limb in limbs:
                 each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}
                 for cross, pull, some in zip(crosses, pulls, parts, strict=True):
                     chosen = [each[c] for c in np.flatnonzero(some).tolist()]
-                    cross[np.ix_(limb.columns, limb.own)] += sum(own for own, _ in chosen)
-                    pull[limb.own] += sum(own for _, own in chosen)
-            sides = [_Side(cross[own], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
-            sides_of[way.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
-        yield sides_of[way.of].pop(way.side.tobytes())
+                    cross[np.ix_(limb.columns, limb.own)] += sum(c for c, _ in chosen)
+                    pull[limb.own] += sum(p for _, p in chosen)
+            sides = [_Side(cross[of_half], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
+            sides_of[division.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
+        yield sides_of[division.of].pop(division.side.tobytes())
 
 
 class _Limb:
     """Rows of one path: coefficients of other limbs do not move them."""
 
-    def __init__(self, rows: np.ndarray, J: np.ndarray, own: np.ndarray, residuals: np.ndarray) -> None:
+    def __init__(self, rows: np.ndarray, J: np.ndarray, of_half: np.ndarray, residuals: np.ndarray) -> None:
         """Keep the rows of one path, and the columns that move them.
 
         Args:
             rows: Numbers of the limb's rows.
             J: Columns of all N rows, shape (N, m, K).
-            own: Coefficients that each half has of its own, shape (K,) bool.
+            of_half: Coefficients that each half has of its own, shape (K,) bool.
             residuals: Residuals and draws after the fit of all coefficients, shape (N, m, 1 + DRAWS).
         """
         self.columns = np.flatnonzero(J[rows].any(axis=(0, 1)))
-        self._rows, self._own = rows, own[self.columns]
-        self.own = (np.cumsum(own) - 1)[self.columns[self._own]]
+        self._rows, self._own = rows, of_half[self.columns]
+        self.own = (np.cumsum(of_half) - 1)[self.columns[self._own]]
         self._J, self._residuals = J[rows][:, :, self.columns], residuals[rows]
 
     def sums(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cross and pull of :class:`_Side` over some of the N rows, shape (N,) bool, of the columns that are not zero."""
-        here = some[self._rows]
-        J, residuals = (x[here].reshape(-1, x.shape[2]) for x in (self._J, self._residuals))
+        chosen = some[self._rows]
+        J, residuals = (x[chosen].reshape(-1, x.shape[2]) for x in (self._J, self._residuals))
         A = J[:, self._own]
         # Products of columns with themselves are symmetric, and half the work.
         cross = (J.T @ J)[:, self._own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
@@ -371,25 +374,25 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one place are one measurement
         place = held_together(data)
-        each = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
-        every = each[place] * np.sqrt(rows.share)
+        of_places = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
+        draws = of_places[place] * np.sqrt(rows.share)
     else:
-        every = rng.standard_normal((N, m, DRAWS))
-    noise = np.where(rows.there[:, :, None], every, 0.0)
+        draws = rng.standard_normal((N, m, DRAWS))
+    noise = np.where(rows.there[:, :, None], draws, 0.0)
     beforehand = rng.standard_normal((len(rows.known.left), DRAWS))
     return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, beforehand])
 
 
-def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.ndarray:
+def _at_target(target: np.ndarray, of_half: np.ndarray, frames: np.ndarray) -> np.ndarray:
     """Mean square at the target of a difference of coefficients, shape (k, k), less a common motion of base or target.
 
     Base and target are mounted anew by whoever uses a calibration: what differs by a motion of either is no difference of arms.
 
     Args:
         target: Shift of the target with each coefficient, shape (N, 3, K).
-        own: Coefficients that each half has of its own, shape (K,) bool.
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
         frames: Coefficients of the two frames, shape (K,) bool.
     """
     J = target.reshape(-1, target.shape[2])
-    J = across(J[:, frames], J[:, own])
+    J = across(J[:, frames], J[:, of_half])
     return np.asarray(J.T @ J) / len(target)

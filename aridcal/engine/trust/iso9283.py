@@ -165,15 +165,15 @@ def iso_9283(
         return None
     together = np.split(repeating[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
     cycles = tuple(together[k] for k in np.argsort(first))  # in the order of their first cycles
-    there = np.isin(label, label[[group[0] for group in cycles]])
+    of_poses = np.isin(label, label[[group[0] for group in cycles]])
     pairs = _pairs(rows, cycles)
     return Iso9283(
         cycles=cycles,
         held_out=np.array([bool(rows.test[group].all()) for group in cycles]),
         hours=np.array([_hours(rows, group) for group in cycles]),
         pairs=pairs,
-        copies=int((there & copied).sum()),
-        flagged=int((there & outlier & ~copied).sum()),
+        copies=int((of_poses & copied).sum()),
+        flagged=int((of_poses & outlier & ~copied).sum()),
         nominal=_figures(rows, cycles, pairs, *nominal),
         final=_figures(rows, cycles, pairs, *final),
     )

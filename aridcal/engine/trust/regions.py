@@ -233,8 +233,8 @@ def _place(readings: np.ndarray, joint: Joint, positions: np.ndarray, names: Seq
     if not factors:
         return
     most = max(factors, key=lambda name: abs(factors[name]))
-    others = sum(factor * readings[:, names.index(name)] for name, factor in factors.items() if name != most)
-    readings[:, names.index(most)] = (positions - joint.drive.offset - others) / factors[most]
+    by_others = sum(factor * readings[:, names.index(name)] for name, factor in factors.items() if name != most)
+    readings[:, names.index(most)] = (positions - joint.drive.offset - by_others) / factors[most]
 
 
 def _constants(final: Fit, around: Dataset) -> Fit:

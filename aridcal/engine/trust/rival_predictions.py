@@ -48,7 +48,7 @@ def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tup
         The model with the coefficients of rivals beside its own, the mean of all, and their covariance.
     """
     mean: dict[Coefficient, float] = {}
-    ways: list[Untold] = []
+    roots: list[Untold] = []
     for effect in dict.fromkeys(rival.instead_of for rival in rivals):
         of_effect = [rival for rival in rivals if rival.instead_of == effect]
         shift: dict[Coefficient, float] = {}
@@ -58,10 +58,10 @@ def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tup
         itself = 1.0 - sum(rival.weight for rival in of_effect)
         for weight, change in ((itself, {}), *((rival.weight, dict(rival.change)) for rival in of_effect)):
             root = np.sqrt(max(weight, 0.0))
-            ways.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
+            roots.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
         for c, value in shift.items():
             mean[c] = mean.get(c, 0.0) + value
-    wide, values, covariance = with_untold(model, theta, ways)
+    wide, values, covariance = with_untold(model, theta, roots)
     return wide, values + np.array([mean.get(c, 0.0) for c in wide.coefficients]), covariance
 
 
@@ -92,8 +92,8 @@ def between(
     for end in (0, 1):
         columns = dict(covariates)
         for name in wide.needs:
-            there = columns.get(name, np.full(len(readings), np.nan))
-            columns[name] = np.where(np.isnan(there), ranges.get(name, (0.0, 0.0))[end], there)
+            values_there = columns.get(name, np.full(len(readings), np.nan))
+            columns[name] = np.where(np.isnan(values_there), ranges.get(name, (0.0, 0.0))[end], values_there)
         covariance_of_end = target_covariance(wide, values, covariance, wide.rows(readings, columns, *labels), tool)
         if largest is None:
             largest = covariance_of_end

@@ -87,7 +87,7 @@ class Beyond:
 
 @dataclass(frozen=True)
 class Kept:
-    """What a region keeps within.
+    """The tolerance that a region keeps.
 
     Attributes:
         of: ``position`` or ``rotation``.
@@ -197,42 +197,42 @@ def beyond(
         arm = fit.model.poses(fit.theta, fit_problem.rows[block])[0] @ np.asarray(tool, dtype=float)
         for lever in view.levers:
             first, last = np.searchsorted(lever.rows, (block.start, block.stop))
-            some, here = lever.rows[first:last], lever.rows[first:last] - block.start
+            some, in_block = lever.rows[first:last], lever.rows[first:last] - block.start
             by = lever.turn[first:last]
             if not turn:
-                by = lever.shift[first:last] + np.cross(by, arm[here][:, :, None], axis=1)
+                by = lever.shift[first:last] + np.cross(by, arm[in_block][:, :, None], axis=1)
             rank = np.linalg.matrix_rank(by)
-            some, here, by, rank = some[rank > 0], here[rank > 0], by[rank > 0], rank[rank > 0]
+            some, in_block, by, rank = some[rank > 0], in_block[rank > 0], by[rank > 0], rank[rank > 0]
             if not len(some):
                 continue
             felt = np.abs(by).max(axis=(0, 1)) > 0.0
             declared &= bool(np.all(sigma[lever.part][felt] > 0.0))
             off = np.einsum("nij,nj->ni", by, residuals[some, lever.part])
-            part = covariance[here][:, lever.part, lever.part]
+            part = covariance[in_block][:, lever.part, lever.part]
             size[some], ranks[some] = np.linalg.norm(off, axis=1), rank
             squares[some] = np.sum(off**2, axis=1)
             scatter[some] = np.sum((by * sigma[lever.part]) ** 2, axis=(1, 2))
             model[some] = np.einsum("nij,njk,nik->n", by, part, by)
-    there = np.isfinite(size)
-    if not there.any():
+    with_size = np.isfinite(size)
+    if not with_size.any():
         return None
-    count = float(ranks[there].sum())
-    per_row = squares[there] / ranks[there]
-    configurations = len(np.unique(judging_rows.repeats.configuration[there]))
+    count = float(ranks[with_size].sum())
+    per_row = squares[with_size] / ranks[with_size]
+    configurations = len(np.unique(judging_rows.repeats.configuration[with_size]))
     # Rows whose squares vary more than those of normal errors count for fewer, and repeats of a configuration for one.
     wild = max(
-        1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / there.sum() / 2.0
+        1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / with_size.sum() / 2.0
     )
     held_out = bool(rows.test[judging].any())
     if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
         return None
     free = 1.0 if held_out else fit.freedom / fit.numbers
     return Beyond(
-        squares=float(squares[there].sum() / count) / free,
-        noise=float(scatter[there].sum() / count) if declared else 0.0,
-        model=float(model[there].sum() / count) if held_out else 0.0,
-        freedom=free * count * configurations / there.sum() / wild,
-        size=np.concatenate([size[there], flagged]),
+        squares=float(squares[with_size].sum() / count) / free,
+        noise=float(scatter[with_size].sum() / count) if declared else 0.0,
+        model=float(model[with_size].sum() / count) if held_out else 0.0,
+        freedom=free * count * configurations / with_size.sum() / wild,
+        size=np.concatenate([size[with_size], flagged]),
         declared=declared,
         held_out=held_out,
     )
@@ -267,11 +267,11 @@ def kept(
     )
     off += _beyond(excess, off.shape, rng)
     determined = region.turns_told if turn else region.told
-    there = region.measured & determined
-    length = np.where(there[:, None], np.linalg.norm(off, axis=1), np.inf)
+    known_places = region.measured & determined
+    length = np.where(known_places[:, None], np.linalg.norm(off, axis=1), np.inf)
     quantiles = np.quantile(length, SHARE, axis=0, method="higher")
     bound = float(np.quantile(quantiles, CONFIDENCE, method="higher"))
-    variance = np.einsum("nii->n", region.turns if turn else region.covariance)[there]
+    variance = np.einsum("nii->n", region.turns if turn else region.covariance)[known_places]
     remarks = [] if excess.declared else [UNKNOWN_NOISE]
     if not excess.held_out:
         remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
@@ -281,7 +281,7 @@ def kept(
         bound=bound,
         share=float("nan"),
         confidence=float("nan"),
-        calibration=float(np.sqrt(variance.mean())) if there.any() else float("nan"),
+        calibration=float(np.sqrt(variance.mean())) if known_places.any() else float("nan"),
         beyond=float(np.sqrt(AXES) * excess.sigma),
         measured=float(region.measured.mean()),
         told=float(determined.mean()),
@@ -294,8 +294,10 @@ def kept(
     )
     if tolerance is None:
         return answer
-    with_noise = np.linalg.norm(off[there] + np.sqrt(excess.noise) * rng.standard_normal(off[there].shape), axis=1)
-    usual = float(np.mean(with_noise > tolerance)) if there.any() else 1.0
+    with_noise = np.linalg.norm(
+        off[known_places] + np.sqrt(excess.noise) * rng.standard_normal(off[known_places].shape), axis=1
+    )
+    usual = float(np.mean(with_noise > tolerance)) if known_places.any() else 1.0
     within, count = int((excess.size <= tolerance).sum()), len(excess.size)
     confidence = float(np.mean(quantiles <= tolerance))
     reasons = [] if bound <= tolerance else [_why(answer)]
@@ -336,10 +338,10 @@ def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) ->
     normal errors of one mean square those along one line have the longest tail: 95 % are within 1.96 of its roots, and within
     1.61 of those that go all ways alike.
     """
-    way = rng.standard_normal(shape)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    direction = rng.standard_normal(shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     size = np.sqrt(AXES) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
-    return np.asarray(way * size)
+    return np.asarray(direction * size)
 
 
 def _why(answer: Kept) -> str:

@@ -63,8 +63,8 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     if np.all(excess == 1.0):
         return fit
     equations = linearise(problem(fit.model, train, progress), fit.theta, fit.weight, fit.sigma).equations
-    more = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
-    return replace(fit, covariance=fit.covariance + fit.covariance @ more @ fit.covariance)
+    added = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
+    return replace(fit, covariance=fit.covariance + fit.covariance @ added @ fit.covariance)
 
 
 def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:

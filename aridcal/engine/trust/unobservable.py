@@ -19,14 +19,14 @@ def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tu
         theta: Their values, shape (K,).
         untold: Combinations, with the sigmas that they state; the model's own coefficients are held.
     """
-    others = {c for part in untold for c, _ in part} - set(model.coefficients)
-    every = (*model.coefficients, *sorted(others, key=lambda c: c.name))
-    place = {c: k for k, c in enumerate(every)}
-    ways = np.zeros((len(every), len(untold)))
+    extra = {c for part in untold for c, _ in part} - set(model.coefficients)
+    coefficients = (*model.coefficients, *sorted(extra, key=lambda c: c.name))
+    place = {c: k for k, c in enumerate(coefficients)}
+    factors = np.zeros((len(coefficients), len(untold)))
     for j, part in enumerate(untold):
         for c, value in part:
-            ways[place[c], j] = value
-    return model.with_coefficients(every), np.append(theta, np.zeros(len(others))), ways @ ways.T
+            factors[place[c], j] = value
+    return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
 def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:

@@ -118,7 +118,7 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """A calibrated model, and what its rows told of it.
+    """A calibrated model, and how well its rows tell it.
 
     Attributes:
         fit: The stage.
@@ -195,8 +195,8 @@ class Knowledge:
         arm, covariance = R @ tool, np.pad(self.fit.covariance, (0, extra))
         twists = shifted(twists, arm)
         # Only constants follow the open ones: coefficients that act in few rows have no part in it.
-        ways = np.vstack([-self.follows, np.eye(extra)])[local.plain]
-        by_open = twists[:, :, local.carrier[local.plain]] @ ways
+        combinations = np.vstack([-self.follows, np.eye(extra)])[local.plain]
+        by_open = twists[:, :, local.carrier[local.plain]] @ combinations
         return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
 
     def untold(self, rows: Rows, turns: bool) -> tuple[Untold, ...]:
@@ -211,17 +211,17 @@ class Knowledge:
         values, vectors = np.linalg.eigh(self.open)
         size = vectors * np.sqrt(np.maximum(values, 0.0))
         by_open = self.columns(rows, np.zeros(3))[2][:, : 6 if turns else 3] @ size
-        _, _, ways = np.linalg.svd(by_open.reshape(-1, len(size)), full_matrices=False)
-        moves = np.linalg.norm((by_open @ ways.T).reshape(len(rows), -1, 3, len(ways)), axis=2).max(axis=(0, 1))
+        _, _, axes = np.linalg.svd(by_open.reshape(-1, len(size)), full_matrices=False)
+        moves = np.linalg.norm((by_open @ axes.T).reshape(len(rows), -1, 3, len(axes)), axis=2).max(axis=(0, 1))
         combinations = []
-        for way in ways[moves > FAINTLY * TOLD]:
-            theta = np.concatenate([-self.follows @ size @ way, size @ way])
+        for axis in axes[moves > FAINTLY * TOLD]:
+            theta = np.concatenate([-self.follows @ size @ axis, size @ axis])
             of = zip(self.wide.coefficients, theta.tolist(), strict=True)
             combinations.append(tuple((c, value) for c, value in of if value and c.basis.constant))
         return tuple(combinations)
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
-        """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
+        """Places of the target in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
         places = np.empty((len(readings), 3))
         for part in blocks(len(readings)):
             rows = self._rows(data, readings[part], like[part])
@@ -251,9 +251,9 @@ def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         covariance: Shape (N, 3, 3).
     """
     values, vectors = np.linalg.eigh(covariance)
-    way = vectors[:, :, -1]
-    largest = np.abs(way).argmax(axis=1, keepdims=True)
-    return np.sqrt(np.maximum(values[:, -1], 0.0)), way * np.sign(np.take_along_axis(way, largest, axis=1))
+    worst = vectors[:, :, -1]
+    largest = np.abs(worst).argmax(axis=1, keepdims=True)
+    return np.sqrt(np.maximum(values[:, -1], 0.0)), worst * np.sign(np.take_along_axis(worst, largest, axis=1))
 
 
 def target_covariance(
@@ -297,7 +297,7 @@ def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
 
 
 def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Knowledge:
-    """What the rows told of a calibrated model.
+    """How well the rows tell a calibrated model.
 
     Args:
         fit: The stage.
@@ -306,9 +306,9 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
     """
     model, count = fit.model, len(fit.theta)
     names = set(model.names)
-    others = tuple(c for c in candidates if c.name not in names and c.basis.constant)
-    wide = model.with_coefficients((*model.coefficients, *others))
-    extra = len(others)
+    extra_constants = tuple(c for c in candidates if c.name not in names and c.basis.constant)
+    wide = model.with_coefficients((*model.coefficients, *extra_constants))
+    extra = len(extra_constants)
     follows, open_covariance = np.zeros((count, extra)), np.zeros((extra, extra))
     if extra:
         wide_problem = problem(wide, train)
@@ -320,8 +320,8 @@ def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Kn
         constants = np.flatnonzero([c.basis.constant for c in model.coefficients])
         cross = H[constants][:, count:]
         follows[constants] = solve(H[np.ix_(constants, constants)], cross)
-        rest = H[count:, count:] - cross.T @ follows[constants]
-        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        remaining = H[count:, count:] - cross.T @ follows[constants]
+        values, vectors = np.linalg.eigh(0.5 * (remaining + remaining.T))
         size = wide.sizes[count:]
         open_covariance = np.linalg.inv(
             vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2)

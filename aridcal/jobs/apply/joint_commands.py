@@ -250,7 +250,7 @@ def _outside(readings: np.ndarray, ranges: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class CorrectionTable:
-    """What to add to the nominal solution, over a grid of the joints.
+    """Corrections to add to the nominal solution, over a grid of the joints.
 
     Attributes:
         axes: Points of each reading, [rad] or [m].
@@ -304,8 +304,8 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
 
     grid = np.array(list(product(*axes)))
     R, p = nominal.poses(np.zeros(0), nominal.rows(grid))
-    every = progress.through(zip(R, p, grid, strict=True), len(grid), "points")
-    corrections = [_gentle(inverse, *wanted_pose, middle) for wanted_pose in every]
+    poses_and_readings = progress.through(zip(R, p, grid, strict=True), len(grid), "points")
+    corrections = [_gentle(inverse, *wanted_pose, middle) for wanted_pose in poses_and_readings]
     delta = np.array(corrections).reshape(*sizes, -1)
 
     between = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (CHECK_POINTS, len(ranges)))

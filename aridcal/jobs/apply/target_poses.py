@@ -1,4 +1,4 @@
-"""Where the real target is, through the whole calibrated model, written as the campaign's own tables are."""
+"""Poses of the real target by the whole calibrated model, written as the campaign's own tables are."""
 
 from __future__ import annotations
 
@@ -419,10 +419,10 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
     covariance[:, :3, :3] += growth(saved, query)[usable, None, None] ** 2 * np.eye(3)
     covariance += between_rivals(saved, query, np.asarray(tool, dtype=float))[usable]
-    sigma, way = worst_direction(covariance[:, :3, :3])
+    sigma, direction = worst_direction(covariance[:, :3, :3])
     columns = {
         "sigma_mm": 1e3 * sigma,
-        **dict(zip(("worst_x", "worst_y", "worst_z"), way.T, strict=True)),
+        **dict(zip(("worst_x", "worst_y", "worst_z"), direction.T, strict=True)),
         "rms_mm": 1e3 * np.sqrt(np.maximum(np.einsum("nii->n", covariance[:, :3, :3]), 0.0)),
     }
     if saved.turns:

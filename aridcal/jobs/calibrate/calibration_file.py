@@ -100,7 +100,7 @@ class PayloadPart(Section):
     at: Vector3
     on: str
     name: str
-    """Of its covariate."""
+    """Name of its covariate."""
 
 
 class LoadsPart(Section):

@@ -217,10 +217,10 @@ def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
 
         return made
 
-    ways = {
+    makers_by_file = {
         "kinematics.yaml": makers, "dh.yaml": dh(standard_dh), "dh_modified.yaml": dh(modified_dh), "doty.yaml": doty,
     }  # fmt: skip
-    return {name: _by_limb(make, nominal, calibrated) for name, make in ways.items()}
+    return {name: _by_limb(make, nominal, calibrated) for name, make in makers_by_file.items()}
 
 
 def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
@@ -306,8 +306,8 @@ def _export_problem(outcome: Outcome, model: Model) -> Problem:
     """The problem of a model on some of the fitted rows, at the noise of the calibration."""
     m = outcome.measurements
     rows = with_sigma(m.fitted.select(~outcome.outlier[m.train]), outcome.noise.tolist())
-    every = problem(model, rows)
-    return every.select(thin(every.rows, EXPORT_ROWS))
+    whole = problem(model, rows)
+    return whole.select(thin(whole.rows, EXPORT_ROWS))
 
 
 def _offsets(outcome: Outcome) -> Fit:

@@ -41,7 +41,7 @@ ROWS_AT_ONCE = 20_000
 """Rows that are written between two reports of progress: half a second."""
 
 DIGITS = 9
-"""Of numbers in residuals.csv: a nanometre of a metre."""
+"""Digits of numbers in residuals.csv: a nanometre of a metre."""
 
 FRAME_NAMES = ("world_base", "tip_target")
 

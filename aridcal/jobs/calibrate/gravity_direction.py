@@ -110,10 +110,10 @@ def _columns(fit: Fit, rows: Dataset, loads: dict[tuple[str, int], np.ndarray]) 
     turning = [joint.name for joint in robot.joints if joint.kind != "prismatic" and joint.drive.factors]
     waves = [Coefficient(name, "axis", Basis(form, (name,), (1.0,))) for name in turning for form in ("sin", "cos")]
     pulls = [Coefficient(joint, "axis", Basis("linear", (name,), (0.0,))) for name, (joint, _) in named.items()]
-    more = replace(rows, covariates={**rows.covariates, **{name: values for name, (_, values) in named.items()}})
-    larger = replace(model.with_coefficients((*model.coefficients, *waves, *pulls)), states=model.states)
+    with_loads = replace(rows, covariates={**rows.covariates, **{name: values for name, (_, values) in named.items()}})
+    larger_model = replace(model.with_coefficients((*model.coefficients, *waves, *pulls)), states=model.states)
     theta = np.concatenate([fit.theta, np.zeros(len(waves) + len(pulls))])
-    pieces = [(r, J) for _, r, J in eliminated(problem(larger, more), theta, np.ones(len(rows)), fit.sigma)]
+    pieces = [(r, J) for _, r, J in eliminated(problem(larger_model, with_loads), theta, np.ones(len(rows)), fit.sigma)]
     r, J = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     sigma = spread(fit.sigma, rows.channels)
     return r / sigma, J / sigma[:, None]
@@ -203,9 +203,9 @@ def _directions() -> np.ndarray:
 
 def _answer(sums: _Sums, declared: np.ndarray) -> str:
     """The sentence on the direction that leaves the smallest squares; empty where the declared direction will do."""
-    every = range(FOLDS)
-    u = sums.best(every)
-    x, squares, back = sums.solved(u, every)
+    all_parts = range(FOLDS)
+    u = sums.best(all_parts)
+    x, squares, back = sums.solved(u, all_parts)
     compliance, free = x[sums.free :].reshape(sums.joints, 3) @ u, sums.free
     freedom = max(sums.r.size - len(back) - 2, 1)
     z = compliance / np.sqrt(np.maximum(np.diag(back)[free:] * squares / freedom, np.finfo(float).tiny))
@@ -235,10 +235,10 @@ def _held_back(sums: _Sums, declared: np.ndarray) -> np.ndarray:
     """Gain in squares of the free direction over the declared one, of each place, parts of the places held back in turn."""
     gains = []
     for k in range(FOLDS):
-        rest, out = [part for part in range(FOLDS) if part != k], sums.part == k
+        kept_parts, out = [part for part in range(FOLDS) if part != k], sums.part == k
         squares = []
-        for u in (declared, sums.best(rest)):
-            x, _, _ = sums.solved(u, rest)
+        for u in (declared, sums.best(kept_parts)):
+            x, _, _ = sums.solved(u, kept_parts)
             squares.append(np.sum((sums.r[out] - sums.J[out] @ x) ** 2, axis=1))
         _, number = np.unique(sums.place[out], return_inverse=True)
         gains.append(np.bincount(number, squares[0] - squares[1]))

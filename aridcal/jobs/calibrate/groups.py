@@ -51,7 +51,7 @@ MOST_ROWS = 600
 """Rows that are looked at, spread evenly over more."""
 
 STEPS = 25
-"""Of expectation and maximisation; groups that differ by two sigmas have settled then."""
+"""Steps of expectation and maximisation: groups that differ by two sigmas have settled then."""
 
 FIRST_SHARE = 0.2
 """Share of the rows that the search begins with, those farthest along a direction."""
@@ -87,9 +87,9 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
             continue
         of_block = of_block[np.linspace(0, len(of_block) - 1, min(len(of_block), MOST_ROWS)).round().astype(int)]
         part = rows.select(of_block)
-        there = ~np.isnan(residual[of_block]).any(axis=0)
+        columns = ~np.isnan(residual[of_block]).any(axis=0)
         channels = tuple(c for c, measured in zip(rows.channels, part.measures.T, strict=True) if measured.any())
-        r = residual[of_block][:, there]
+        r = residual[of_block][:, columns]
         views += [(part, channels, words, view) for words, view in _views(part, channels, r, fit)]
     answers = [clue for one in views if (clue := _clue(*one, len(views))) is not None]
     return [min(answers, key=lambda clue: clue.p_value)] if answers else []
@@ -137,7 +137,7 @@ def _clue(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: i
 
 def _chance(T: float, sets: np.ndarray) -> float:
     """Probability that rows without groups have a statistic of at least T, from sets of them, shape (B, n, k) (Gumbel 1958)."""
-    chances = _likeliest(np.array([_white(one) for one in sets])).T
+    chances = _likeliest(np.array([_white(rows) for rows in sets])).T
     scale = max(float(chances.std()), TINY) * np.sqrt(6.0) / np.pi
     place = float(chances.mean()) - np.euler_gamma * scale
     return float(-np.expm1(-np.exp((place - T) / scale)))
@@ -150,12 +150,12 @@ def _shift(shift: np.ndarray, channels: Channels) -> str:
         of_channel = shift[begin : begin + channel.size]
         begin += channel.size
         size = float(np.linalg.norm(of_channel))
-        way = (
+        direction = (
             f" along ({' '.join(f'{number:.2f}' for number in of_channel / max(size, TINY))})"
             if channel.size > 1
             else ""
         )
-        parts.append(f"{channel.scale * size:.2g} {channel.shown}{way}")
+        parts.append(f"{channel.scale * size:.2g} {channel.shown}{direction}")
     return " and ".join(parts)
 
 
@@ -172,10 +172,10 @@ def _likeliest(x: np.ndarray) -> _Groups:
     k = x.shape[2]
     skew = np.einsum("bnk,bn->bk", x, np.sum(x**2, axis=2))
     skew /= np.maximum(np.linalg.norm(skew, axis=1, keepdims=True), TINY)
-    ways = [skew, *(np.broadcast_to(sign * axis, skew.shape) for axis in np.eye(k) for sign in (1.0, -1.0))]
-    best = _maximised(x, ways[0])
-    for way in ways[1:]:
-        other = _maximised(x, way)
+    directions = [skew, *(np.broadcast_to(sign * axis, skew.shape) for axis in np.eye(k) for sign in (1.0, -1.0))]
+    best = _maximised(x, directions[0])
+    for direction in directions[1:]:
+        other = _maximised(x, direction)
         better = other.T > best.T
         best = _Groups(
             np.where(better, other.T, best.T),
@@ -185,18 +185,18 @@ def _likeliest(x: np.ndarray) -> _Groups:
     return best
 
 
-def _maximised(x: np.ndarray, way: np.ndarray) -> _Groups:
+def _maximised(x: np.ndarray, direction: np.ndarray) -> _Groups:
     """Expectation and maximisation from the rows farthest along a direction, shape (B, k)."""
-    y = np.einsum("bnk,bk->bn", x, way)
+    y = np.einsum("bnk,bk->bn", x, direction)
     chance = (y >= np.quantile(y, 1.0 - FIRST_SHARE, axis=1)[:, None]).astype(float)
     for _ in range(STEPS):
         share = np.clip(chance.mean(axis=1), LEAST_SHARE, 1.0 - LEAST_SHARE)
-        both = share * (1.0 - share)
-        delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * both)[:, None]
+        product = share * (1.0 - share)
+        delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * product)[:, None]
         length = np.maximum(np.linalg.norm(delta, axis=1), TINY)
         y = np.einsum("bnk,bk->bn", x, delta / length[:, None])
-        length = np.minimum(length, np.sqrt(MOST_EXPLAINED / both))
-        v = 1.0 - both * length**2
+        length = np.minimum(length, np.sqrt(MOST_EXPLAINED / product))
+        v = 1.0 - product * length**2
         odds = np.log(share / (1.0 - share))[:, None] + (length / v)[:, None] * (y - ((0.5 - share) * length)[:, None])
         chance = expit(odds)
     others = np.log1p(-share)[:, None] - 0.5 * ((y + (share * length)[:, None]) ** 2 / v[:, None] + np.log(v)[:, None])

@@ -32,7 +32,7 @@ LEAST_PART = 1e-6
 """Share of a direction that no row tells, from which a component is a part of it: less is rounding."""
 
 NORMAL = ("nx", "ny", "nz")
-"""Of a plane, as it is written down; its components are tilts about axes that nobody chose."""
+"""Components of a plane in reports; its own are tilts about arbitrary axes."""
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,11 @@ class _Solved:
             covariance[np.ix_(free, free)] = inverse + X[free_slots] @ self.covariance @ X[free_slots].T
             directions = self._untold_directions(group)
             for component in np.flatnonzero(free).tolist():
-                mine = np.abs(directions[slots[component]]) > LEAST_PART
-                others = (np.abs(directions[:, mine]) > LEAST_PART).any(axis=1)
-                others[slots[component]] = False
-                status[component] = "redundant" if mine.any() else "identified"
-                partners[component] = tuple(self.members[group][j] for j in np.flatnonzero(others))
+                lost = np.abs(directions[slots[component]]) > LEAST_PART
+                partner = (np.abs(directions[:, lost]) > LEAST_PART).any(axis=1)
+                partner[slots[component]] = False
+                status[component] = "redundant" if lost.any() else "identified"
+                partners[component] = tuple(self.members[group][j] for j in np.flatnonzero(partner))
         return _ThingResult(np.zeros(u), covariance, tuple(status), tuple(partners))
 
     def _untold_directions(self, group: int) -> np.ndarray:
@@ -197,21 +197,21 @@ def _by_coefficients(fit: Fit, things: Things, name: str) -> _ThingResult:
 def _values(things: Things, name: str, state: np.ndarray, result: _ThingResult, rows: int) -> list[ThingValue]:
     """The numbers of one thing as they are reported: a normal for a plane, rpy for a place."""
     role = things.role
-    now = role.moved(state[None], result.change[None])[0]
+    final = role.moved(state[None], result.change[None])[0]
     std = np.sqrt(np.maximum(np.diag(result.covariance), 0.0))
-    components, units, values = role.components, role.units, now
+    components, units, values = role.components, role.units, final
     status, partners = result.status, result.partners
     if role.name == "plane":
-        e1, e2 = along_plane(now[None, :3])
-        turned = np.stack([np.cross(e1, now[:3])[0], np.cross(e2, now[:3])[0]], axis=1)
+        e1, e2 = along_plane(final[None, :3])
+        turned = np.stack([np.cross(e1, final[:3])[0], np.cross(e2, final[:3])[0]], axis=1)
         spread = np.sqrt(np.maximum(np.einsum("iu,uv,iv->i", turned, result.covariance[:2, :2], turned), 0.0))
         components, units, std = (*NORMAL, "offset"), ("1", "1", "1", "m"), np.append(spread, std[2])
         tilts: Status = next((s for s in ("redundant", "identified") if s in status[:2]), "fixed")
         status = (tilts, tilts, tilts, status[2])
         partners = (partners[0], partners[0], partners[0], partners[2])
     elif components[:6] == PLACE:
-        rpy = pin.rpy.matrixToRpy(now[R9].reshape(3, 3)) if np.isfinite(now[R9]).all() else np.full(3, np.nan)
-        values = np.concatenate([now[T], rpy, now[R9.stop : R9.stop + len(components) - 6]])
+        rpy = pin.rpy.matrixToRpy(final[R9].reshape(3, 3)) if np.isfinite(final[R9]).all() else np.full(3, np.nan)
+        values = np.concatenate([final[T], rpy, final[R9.stop : R9.stop + len(components) - 6]])
     return [
         ThingValue(
             role=role.name,
@@ -265,10 +265,10 @@ def scale_std(fit: Fit, train: Dataset) -> float | None:
     squares = 0.0
     for role in ("point", "marker"):
         if role in solved.groups.slot:
-            there = np.isfinite(fit_problem.states[role]).all(axis=1) & (solved.groups.slot[role] >= 0).all(axis=1)
-            places = fit_problem.states[role][there]
+            mask = np.isfinite(fit_problem.states[role]).all(axis=1) & (solved.groups.slot[role] >= 0).all(axis=1)
+            places = fit_problem.states[role][mask]
             centred = places - places.mean(axis=0)
-            weight[solved.groups.group[role][there][:, None], solved.groups.slot[role][there]] = centred
+            weight[solved.groups.group[role][mask][:, None], solved.groups.slot[role][mask]] = centred
             squares += float(np.sum(centred**2))
     if squares == 0.0:
         return beforehand

@@ -70,7 +70,7 @@ class Step:
 
 @dataclass(frozen=True)
 class JointRange:
-    """Where a joint was measured, by the fitted rows.
+    """The range in which a joint was measured, by the fitted rows.
 
     Attributes:
         name: Of the joint.
@@ -107,10 +107,10 @@ def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
 
 def every_held_out_row(outcome: Outcome) -> str:
     """The error of the final model on all held-out rows, flagged ones too, in words."""
-    every = outcome.parts()["test_all"]
-    flagged = int((every & outcome.outlier).sum())
-    error = said(outcome.stages[-1].residual, every, outcome.measurements)
-    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
+    held_out = outcome.parts()["test_all"]
+    flagged = int((held_out & outcome.outlier).sum())
+    error = said(outcome.stages[-1].residual, held_out, outcome.measurements)
+    return f"{flagged} of {held_out.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
 
 
 def over_time(outcome: Outcome) -> str:
@@ -186,23 +186,23 @@ def another_day(outcome: Outcome) -> tuple[bool, str] | None:
         return None
     mask, words = scored(outcome)
     sound = ~verification.outlier
-    last, rows, others = outcome.stages[-1], outcome.measurements, verification.measurements
-    mask = mask & np.isin(rows.labels.block, others.labels.block)  # compared with rows of the same instruments
+    last, rows, day_rows = outcome.stages[-1], outcome.measurements, verification.measurements
+    mask = mask & np.isin(rows.labels.block, day_rows.labels.block)  # compared with rows of the same instruments
     own_error = overall(last.residual, mask, rows, outcome.noise)
-    other_error = overall(verification.residuals[last.name], sound, others, outcome.noise)
-    in_words, before = said(verification.residuals[last.name], sound, others), said(last.residual, mask, rows)
+    other_error = overall(verification.residuals[last.name], sound, day_rows, outcome.noise)
+    in_words, before = said(verification.residuals[last.name], sound, day_rows), said(last.residual, mask, rows)
     if rows.measures[mask][:, leading(rows)].any(axis=0).sum() < 2:
         before = before.partition(" ")[0]
     own_rows = f", {verification.copied:,} of the campaign's own left out" if verification.copied else ""
-    those = f"{verification.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
-    sentence = f"Another day's rows ({those}): {in_words} RMS, {before} on the {words}"
+    which_rows = f"{verification.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
+    sentence = f"Another day's rows ({which_rows}): {in_words} RMS, {before} on the {words}"
     if other_error < OVERFIT_RATIO * own_error:
         return True, f"{sentence}."
     if verification.realigned is None:
         return False, f"{sentence}: the robot, the target or the instrument has changed since."
-    moved = overall(verification.realigned, sound, others, outcome.noise) < OVERFIT_RATIO * own_error
+    moved = overall(verification.realigned, sound, day_rows, outcome.noise) < OVERFIT_RATIO * own_error
     why = "the target or the instrument was remounted" if moved else "the robot has changed since"
-    return False, f"{sentence}; {said(verification.realigned, sound, others)} with both frames fitted anew: {why}."
+    return False, f"{sentence}; {said(verification.realigned, sound, day_rows)} with both frames fitted anew: {why}."
 
 
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:
@@ -260,7 +260,7 @@ def constants(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def joint_ranges(outcome: Outcome) -> list[JointRange]:
-    """Where each joint was measured, base first."""
+    """Measured range of each joint, base first."""
     m, robot = outcome.measurements, outcome.robot
     fitted = m.readings[outcome.parts()["train"]]
     joints = zip(robot.readings, robot.kinds, robot.limits, fitted.T, strict=True)
@@ -316,9 +316,11 @@ def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
 def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:
     """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,); NaN where no row has measured it."""
     scale = spread(np.array([channel.scale for channel in channels]), channels)
-    there = ~np.isnan(residual)
-    squares = np.where(there, residual, 0.0) ** 2
-    return np.asarray(scale * np.sqrt(squares.sum(axis=0) / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))
+    measured = ~np.isnan(residual)
+    squares = np.where(measured, residual, 0.0) ** 2
+    return np.asarray(
+        scale * np.sqrt(squares.sum(axis=0) / np.where(measured.any(axis=0), measured.sum(axis=0), np.nan))
+    )
 
 
 def worst_rows(outcome: Outcome, count: int) -> np.ndarray:

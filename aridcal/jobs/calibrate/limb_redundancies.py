@@ -1,4 +1,4 @@
-"""What rows cannot tell of a robot of several limbs, in words: a torso against both shoulders, a camera against the neck."""
+"""Redundancies of a robot of several limbs, in words: a torso against both shoulders, a camera against the neck."""
 
 from __future__ import annotations
 

@@ -109,10 +109,10 @@ def measuring_head(
     numbers = _numbers(final, declared)
     identified = replace(declared, phi=np.array([n.value for n in numbers]))
     shots = unpacked(rows.observed, len(declared.positions))
-    both = [reduced(shots, head) for head in (declared, identified)]
-    misfit = _scatter(both[0]), _scatter(both[1])
-    ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in both])
-    with_poses = with_places(rows, both[1].position, both[1].rotation)
+    shots_by_head = [reduced(shots, head) for head in (declared, identified)]
+    misfit = _scatter(shots_by_head[0]), _scatter(shots_by_head[1])
+    ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in shots_by_head])
+    with_poses = with_places(rows, shots_by_head[1].position, shots_by_head[1].rotation)
     return MeasuringHead(
         numbers=numbers,
         misfit=misfit,

@@ -130,7 +130,7 @@ def identify(
     if not isinstance(job, Job):
         job = read_job(job, seed, progress, cache, verify is not None)
     # read before the work is done, so that a table of the campaign's own rows is refused at once
-    other = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
+    verification_rows = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
     arm, where = _calibrated(job, choose, judge, progress)
     lens = None if job.detections is None else lens_found(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
     if lens is not None:
@@ -138,9 +138,9 @@ def identify(
         job = looked_again(job, lens, progress)
         arm, where = _calibrated(job, choose, judge, progress)
     outcome = _outcome(job.campaign, job.robot, arm, where, job.still, job.detections, progress)
-    if other is not None:
+    if verification_rows is not None:
         progress("scoring another day's measurements")
-        outcome = replace(outcome, verification=_scored(outcome, *other))
+        outcome = replace(outcome, verification=_scored(outcome, *verification_rows))
     return replace(outcome, seconds=time.perf_counter() - job.started)
 
 
@@ -246,10 +246,10 @@ def _searched(train: Dataset, inliers: int, campaign: Campaign, geometric: Fit) 
     if sought and is_short(geometric):
         yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
     elif sought and len(train) > SEARCHED:
-        more = np.sqrt(len(train) / SEARCHED)
+        factor = np.sqrt(len(train) / SEARCHED)
         yield (
             f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
-            f"must be {more:.1f} times as large as in a search of all rows"
+            f"must be {factor:.1f} times as large as in a search of all rows"
         )
     if inliers > ASKED:
         yield f"whether what remains is noise was asked of {ASKED:,} of {inliers:,} rows, in {STRETCHES} stretches on end"
@@ -356,11 +356,11 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
 
 def _alike(one: Fit, other: Fit) -> bool:
     """True if two fits predict the same: a search without result leaves the model as it is."""
-    here, there = one.model, other.model
-    if here.states or there.states or here.around is not there.around:
+    model, other_model = one.model, other.model
+    if model.states or other_model.states or model.around is not other_model.around:
         return False
-    frames = here.world_base == there.world_base and here.tip_target == there.tip_target
-    return frames and here.coefficients == there.coefficients and np.array_equal(one.theta, other.theta)
+    frames = model.world_base == other_model.world_base and model.tip_target == other_model.tip_target
+    return frames and model.coefficients == other_model.coefficients and np.array_equal(one.theta, other.theta)
 
 
 def score(outcome: Outcome, table: AnyTable) -> Verification:

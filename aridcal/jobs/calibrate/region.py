@@ -1,4 +1,4 @@
-"""Where the target is to be known: the configurations of a region, as a campaign or a table names it."""
+"""The configurations of a region where the target is to be known, as a campaign or a table names it."""
 
 from __future__ import annotations
 

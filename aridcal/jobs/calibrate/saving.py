@@ -137,10 +137,10 @@ def _tails(outcome: Outcome, fit: Fit) -> list[Tails | None]:
     scale = np.sqrt(max(fit.freedom, LEAST_FREEDOM) / fit.numbers)
     residual /= scale  # in place: of many rows a copy counts
     squares = norms(residual, outcome.channels) ** 2
-    there = outcome.measurements.measures
+    measures = outcome.measurements.measures
     return [
         tails_of(values[measured & np.isfinite(values)], channel.size)
-        for channel, values, measured in zip(outcome.channels, squares, there.T, strict=True)
+        for channel, values, measured in zip(outcome.channels, squares, measures.T, strict=True)
     ]
 
 
@@ -182,14 +182,14 @@ def _of_kinds(m: Dataset, scatter: dict[str, dict[str, Any]]) -> dict[str, dict[
         of_kind = by_kind.setdefault(block.kind, {})
         for channel, of_block in zip(INSTRUMENTS[block.kind].channels, block.channels, strict=False):
             if of_block.name in scatter:
-                both = [scatter[of_block.name], *([of_kind[channel.name]] if channel.name in of_kind else [])]
-                of_kind[channel.name] = max(both, key=lambda part: part["sigma"])
+                scatters = [scatter[of_block.name], *([of_kind[channel.name]] if channel.name in of_kind else [])]
+                of_kind[channel.name] = max(scatters, key=lambda part: part["sigma"])
     return {kind: channels for kind, channels in by_kind.items() if channels}
 
 
 @dataclass(frozen=True)
 class _Target:
-    """What a saved calibration predicts.
+    """The target that a saved calibration predicts.
 
     Attributes:
         labels: Labels of the frames on the tip that are kept; empty where all rows share one.
@@ -208,7 +208,7 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
     """The targets that instruments measured; the tip itself where cameras are all there is."""
     if m.direct:
         return _Target((), m.sees_turns, True, head)
-    every = () if m.labels.target is None else tuple(sorted(set(m.labels.target.tolist())))
+    all_labels = () if m.labels.target is None else tuple(sorted(set(m.labels.target.tolist())))
 
     def kinds(labels: tuple[str, ...]) -> set[str]:
         some = np.ones(len(m), dtype=bool) if m.labels.target is None else np.isin(np.asarray(m.labels.target), labels)
@@ -218,8 +218,8 @@ def _saved_target(m: Dataset, head: bool) -> _Target:
         return all(INSTRUMENTS[kind].level for kind in measured)
 
     # what instruments reach for comes before the tip that cameras see, and a place before an attitude
-    placed = tuple(label for label in every if label != TIP and not level_alone(kinds((label,))))
-    labels = placed or tuple(label for label in every if label == TIP) or every
+    placed = tuple(label for label in all_labels if label != TIP and not level_alone(kinds((label,))))
+    labels = placed or tuple(label for label in all_labels if label == TIP) or all_labels
     measured = kinds(labels)
     return _Target(
         labels,
@@ -252,15 +252,15 @@ def _solved(fit: Fit, target: _Target) -> SolvedModel:
             [c.where == "tip_target" and c.station not in target.labels for c in model.coefficients], dtype=bool
         )
     keep = np.flatnonzero(~dropped)
-    others = [model.coefficients[k] for k in keep]
+    coefficients = [model.coefficients[k] for k in keep]
     if len(target.labels) == 1:
         frames = ((None, frames[0][1]),)
-        others = [_of_one(c) for c in others]
+        coefficients = [_of_one(c) for c in coefficients]
     labels = [label for label, _ in model.tip_target]
     sights = [0] if target.tip else [labels.index(label) for label in target.labels or labels]
     around = replace(model.around, sights=Sights(model.around.sights.targets[sights]))
     arm = replace(
-        model, coefficients=tuple(others), tip_target=frames, instruments=Instruments(), states={}, around=around
+        model, coefficients=tuple(coefficients), tip_target=frames, instruments=Instruments(), states={}, around=around
     )
     return SolvedModel(arm, fit.theta[keep], fit.covariance[np.ix_(keep, keep)])
 

@@ -66,7 +66,7 @@ VERDICTS = {
         "identify fewer parameters.",
     ),
 }
-"""By their names in ``result.json``."""
+"""Verdicts in words, by their names in ``result.json``."""
 
 
 @dataclass(frozen=True)
