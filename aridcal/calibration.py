@@ -221,7 +221,7 @@ class Calibration:
             table = poses if seed is None else seeded(poses, seed, asked.measurements, joints)
             query = read_query(asked, table, poses=True)
             count = len(query.line)
-            table = compensate(asked, query, told=lambda rows: progress.part(rows, count, "rows"))
+            table = compensate(asked, query, report=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
         return _with_numbers(table)
 

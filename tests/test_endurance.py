@@ -53,7 +53,7 @@ def test_a_long_table_is_predicted_by_stretches_as_it_would_be_as_a_whole(
     if sort == "parquet":
         query.drop(columns="note").to_parquet(tmp_path / "query.parquet")
     assert predicted(tmp_path, f"query.{sort}", "whole.csv") == 0
-    monkeypatch.setattr(stretches, "STRETCH", 3_000)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 3_000)
     number = len(list(stretches.stretches(tmp_path / f"query.{sort}")))
     assert number > 5
     assert predicted(tmp_path, f"query.{sort}", "parts.csv") == 0
@@ -71,7 +71,7 @@ def test_lines_are_counted_through_all_stretches(tmp_path: Path, monkeypatch: py
     lines[50:50] = ["", ""]
     text = "\r\n".join(lines)
     (tmp_path / "query.csv").write_bytes(text.encode())
-    monkeypatch.setattr(stretches, "STRETCH", 2_000)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 2_000)
     found = np.concatenate([s.table.line for s in stretches.stretches(tmp_path / "query.csv")])
     monkeypatch.undo()
     whole = np.concatenate([s.table.line for s in stretches.stretches(tmp_path / "query.csv")])
@@ -86,7 +86,7 @@ def test_a_bad_row_far_down_is_named_by_its_line_in_the_file(
     lines = (tmp_path / "query.csv").read_text().splitlines()
     lines[249] = bad
     (tmp_path / "query.csv").write_text("\n".join(lines) + "\n")
-    monkeypatch.setattr(stretches, "STRETCH", 2_000)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 2_000)
     assert predicted(tmp_path, "query.csv", "out.csv") == 2
     assert "line 250" in capsys.readouterr().err
     assert not (tmp_path / "out.csv").exists()
@@ -95,7 +95,7 @@ def test_a_bad_row_far_down_is_named_by_its_line_in_the_file(
 def test_a_nameless_column_that_fills_up_later_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = ["a,b,"] + ["1,2,"] * 500 + ["1,2,3"] * 500
     (tmp_path / "t.csv").write_text("\n".join(lines) + "\n")
-    monkeypatch.setattr(stretches, "STRETCH", 1_000)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 1_000)
     with pytest.raises(MeasurementError, match="has cells and no name"):
         list(stretches.stretches(tmp_path / "t.csv"))
 
@@ -110,7 +110,7 @@ def test_commands_by_stretches_are_those_of_the_whole_trajectory(
     poses.to_csv(tmp_path / "poses.csv", index=False, float_format="%.17g")
     command = [str(tmp_path / "calibration.yaml"), str(tmp_path / "poses.csv"), "-o"]
     assert compensate.main([*command, str(tmp_path / "whole.csv")]) == 0
-    monkeypatch.setattr(stretches, "STRETCH", 1_500)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 1_500)
     assert len(list(stretches.stretches(tmp_path / "poses.csv"))) > 4
     assert compensate.main([*command, str(tmp_path / "parts.csv")]) == 0
     whole, parts = (robots.read_csv(tmp_path / f"{name}.csv") for name in ("whole", "parts"))
@@ -120,7 +120,7 @@ def test_commands_by_stretches_are_those_of_the_whole_trajectory(
 
 
 def test_ten_times_the_rows_take_no_more_memory_to_predict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stretches, "STRETCH", 8_000)
+    monkeypatch.setattr(stretches, "STRETCH_BYTES", 8_000)
 
     def peak(rows: int) -> int:
         hundred_times(tmp_path, rows)

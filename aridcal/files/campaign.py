@@ -54,12 +54,12 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 def _all_kinds(candidates: Any) -> Any:
     """Names of kinds; `all` for those that need not be asked for."""
-    every = [name for name, kind in KINDS.items() if not kind.asked]
+    usual = [name for name, kind in KINDS.items() if not kind.asked]
     named = listed(candidates)
     if named is None:
         return None
-    found = [name for word in named for name in (every if word == "all" else [word])]
-    return tuple(name for k, name in enumerate(found) if name not in found[:k])
+    names = [name for word in named for name in (usual if word == "all" else [word])]
+    return tuple(name for k, name in enumerate(names) if name not in names[:k])
 
 
 # Name of a row of the table of kinds.
@@ -83,15 +83,15 @@ class ArmSettings(Section):
     packages: dict[str, RelativePath] = Field(default_factory=dict)
     """Folders of packages of ROS that the URDF names and that are not found by themselves."""
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
-    """Of a xacro file."""
+    """Arguments of a xacro file."""
     joints: dict[str, Number] = Field(default_factory=dict)
-    """Where joints without a column stand in all rows, rad or m."""
+    """Positions of joints without a column, the same in all rows, rad or m."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
     """Factors of joints without a column that follow several others."""
 
     @property
     def stated(self) -> Stated:
-        """What it says of joints that have no column."""
+        """Positions of joints that have no column."""
         return Stated(self.joints, self.coupled)
 
 
@@ -99,7 +99,7 @@ class RobotSettings(ArmSettings):
     """The robot of a campaign, and where down is."""
 
     tip: str = ""
-    """Of the default path; a campaign that leaves it out has that of :meth:`Job._tip_is_known`."""
+    """End of the default path; :meth:`Job._tip_is_known` says which it is where a campaign leaves it out."""
     gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
     """In the base frame, m/s²; `world`: along -z of the world frame."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
@@ -160,7 +160,7 @@ class ParameterSettings(Section):
 
 
 def _kinds_with(key: str) -> str:
-    """Kinds that a key of a declaration belongs to."""
+    """Names of the kinds that a key of a declaration belongs to, in words."""
     return " or ".join(kind.name for kind in KINDS.values() if kind.key == key)
 
 
@@ -229,7 +229,7 @@ class PayloadSettings(Section):
     """A mass that hangs at the origin of a link."""
 
     column: str = "payload"
-    """Of the tables, in kg."""
+    """Column of the tables, in kg."""
     on: str
     """Link of the URDF."""
 
@@ -238,14 +238,14 @@ Payloads = Annotated[tuple[PayloadSettings, ...], BeforeValidator(listed)]
 
 
 def _with(section: AnySection, key: str, value: object) -> AnySection:
-    """A section with what another key of the campaign says of one of its keys, which counts as unsaid where it was."""
+    """A section with another value of one key; keys that the user did not write still count as unwritten."""
     other = section.model_copy(update={key: value})
     other.model_fields_set.intersection_update(section.model_fields_set)
     return other
 
 
 class Job(Settings):
-    """What a campaign and a scenario have in common."""
+    """The keys that a campaign and a scenario have in common."""
 
     robot: RobotSettings
     listed: Annotated[Annotated[tuple[MeasurementSettings, ...], Field(min_length=1)], WrapValidator(_if_listed)] = (
@@ -256,7 +256,7 @@ class Job(Settings):
     """The only block, or the first."""
     instruments: InstrumentSettings = InstrumentSettings()
     payload: Payloads = ()
-    """Where payloads hang, if there is not one at the target of the default path."""
+    """Payloads and their links, if there is not just one at the target of the default path."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
@@ -279,14 +279,14 @@ class Job(Settings):
 
     @property
     def carriers(self) -> tuple[str, ...]:
-        """Links that are said to carry what is measured: targets', then cameras', then the second of two joined ones."""
+        """Links that carry what is measured: those of targets, then of cameras, then the second of two joined links."""
         joined = [block.links[1] for block in self.blocks if block.links is not None]
         targets = [target.on for target in self.instruments.targets.values()]
         cameras = [camera.on for camera in self.instruments.cameras.values()]
         return tuple(link for link in [*targets, *cameras, *joined] if link not in (TIP, WORLD))
 
     def place(self, number: int) -> str:
-        """What a block is called in messages."""
+        """Name of a block in messages."""
         return f"measurements[{number}]" if self.listed else "measurements"
 
     @model_validator(mode="after")
@@ -332,7 +332,7 @@ class Job(Settings):
 
     @property
     def question(self) -> Question:
-        """What it asks of its rows."""
+        """The question to its rows: frames, constants, effects."""
         gravity, targets = self.robot.gravity, self.instruments.targets
         return Question(
             world_base=placed(self.frames.world_base),
@@ -350,12 +350,12 @@ class Job(Settings):
         )
 
     def payload_key(self, number: int) -> str:
-        """What a payload is called in messages."""
+        """Name of a payload in messages."""
         return f"payload[{number}]" if len(self.payload) > 1 else "payload"
 
     @model_validator(mode="after")
     def _payloads_have_columns(self) -> Self:
-        """The blocks read them from the columns that they name."""
+        """Let the blocks read payloads from the columns that the payloads name."""
         if not self.payload:
             return self
         links, columns = ([getattr(each, key) for each in self.payload] for key in ("on", "column"))
@@ -366,10 +366,10 @@ class Job(Settings):
         named = dict(zip(self.masses, columns, strict=True))
         for number, block in enumerate(self.blocks):
             for k, (mass, column) in enumerate(named.items()):
-                own = block.columns.get(mass, column)
-                if own != column:
+                of_block = block.columns.get(mass, column)
+                if of_block != column:
                     raise ValueError(
-                        f"{self.place(number)}.columns.{mass}: is {own!r} here and {column!r} under "
+                        f"{self.place(number)}.columns.{mass}: is {of_block!r} here and {column!r} under "
                         f"{self.payload_key(k)}.column; delete it here"
                     )
         blocks = tuple(_with(block, "columns", block.columns | named) for block in self.blocks)

@@ -1,4 +1,4 @@
-"""Are the data in the stated units, inside the limits, renewed at each row?"""
+"""Checks of a table: are the data in the stated units, inside the limits, renewed at each row?"""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.rows.repeats import first_alike, tolerances
 from aridcal.files.instrument_settings import ArmCameraSettings
-from aridcal.files.measurement_settings import FAR
+from aridcal.files.measurement_settings import BEYOND_REACH
 from aridcal.files.quantities import POSITION, STD, TURNS, Source
 from aridcal.files.yaml_file import FINEST
 from aridcal.system.errors import MeasurementError
@@ -18,22 +18,22 @@ from aridcal.system.errors import MeasurementError
 LIMIT_SLACK = 1e-5
 
 # A wire, ballbar or gauge of an arm is shorter than this, [m].
-LONG = 50.0
+LONGEST_DISTANCE = 50.0
 
 # From the middle of the first pixel, which is 0, to the edge of the image, [px].
 HALF_PIXEL = 0.5
 
 # A target that stays within this while joints turn is in the wrong unit, [m].
-STUCK = 0.02
+LEAST_SPAN = 0.02
 
 # A joint that covers this turns, [rad]; two that do move a target by more than any tool is short.
-TURNED = 0.5
+LEAST_TURN = 0.5
 
 # Once round, [rad].
 TURN = 2 * np.pi
 
 # Share of the rows that must be impossible before all are refused: fewer are bad rows, not a wrong unit.
-MOST = 0.5
+IMPOSSIBLE_SHARE = 0.5
 
 
 def nothing_usable(source: Source) -> MeasurementError:
@@ -52,28 +52,28 @@ def nothing_usable(source: Source) -> MeasurementError:
 def refuse_copies(
     source: Source, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
 ) -> None:
-    """Of rows that are the same in every column that is compared keep the first: no instrument measures the same bits twice.
+    """Keep the first of rows that are equal in every compared column: no instrument measures the same bits twice.
 
     Args:
         source: The table; only its usable rows are looked at.
-        columns: Shape (N,) or (N, numbers) each.
-        labels: Words that are compared, too, shape (N,) each.
+        columns: Numbers to compare, shape (N,) or (N, numbers) each.
+        labels: Words to compare, shape (N,) each.
         sequence: Numbers of the rows as they were measured, shape (N,).
     """
     rows = sequence[source.usable[sequence]]
-    compared = (every for every in (*columns, *labels) if every is not None)
-    first = rows[first_alike(column[rows] for every in compared for column in np.atleast_2d(every.T))]
+    compared = (cells for cells in (*columns, *labels) if cells is not None)
+    first = rows[first_alike(column[rows] for cells in compared for column in np.atleast_2d(cells.T))]
     copies = rows != first
-    for row, kept in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
-        source.refused.append(source.table.remark(row, "", f"identical to {_line(source, kept, row)}"))
+    for row, original in zip(rows[copies].tolist(), first[copies].tolist(), strict=True):
+        source.refused.append(source.table.remark(row, "", f"identical to {_line(source, original, row)}"))
         source.usable[row] = False
 
 
-def _line(source: Source, there: int, here: int) -> str:
-    """Where a row stands, as a remark on another row says it: with its file, if that is another one."""
+def _line(source: Source, row: int, remarked: int) -> str:
+    """The line of a row, for a remark on another row: with its file, if that is another one."""
     table = source.table
-    file = "" if table.file[here] == table.file[there] else f" of {table.files[table.file[there]].name}"
-    return f"line {table.line[there]}{file}"
+    file = "" if table.file[remarked] == table.file[row] else f" of {table.files[table.file[row]].name}"
+    return f"line {table.line[row]}{file}"
 
 
 def stale_rows(
@@ -84,12 +84,12 @@ def stale_rows(
     Args:
         source: The table; only its usable rows are looked at.
         q: Readings, shape (N, columns), [rad] or [m].
-        measured: What was measured, shape (N, numbers).
+        measured: Measured numbers, shape (N, numbers).
         sequence: Numbers of the rows as they were measured, shape (N,).
-        noted: True if they are named among the notices.
+        noted: True if these rows are named among the notices.
 
     Returns:
-        Rows that repeat an earlier one so, and these with the earliest included; shape (N,) bool each.
+        Rows that repeat an earlier one in this way, and these together with that earlier one; shape (N,) bool each.
     """
     rows = sequence[source.usable[sequence]]
     first = rows[first_alike(column[rows] for column in measured.T)]
@@ -142,8 +142,8 @@ def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turnin
     """Refuse readings of which most are outside their limits and further than any joint moves."""
     limited = np.isfinite(limits).all(axis=1)
     outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
-    impossible = outside & (np.abs(q) > np.where(turning, TURNS, FAR))
-    if impossible.any(axis=1).mean() <= MOST:
+    impossible = outside & (np.abs(q) > np.where(turning, TURNS, BEYOND_REACH))
+    if impossible.any(axis=1).mean() <= IMPOSSIBLE_SHARE:
         return
     bad = impossible.any(axis=0)
     angles = bool(turning[bad].any())  # wrong angles before wrong lengths
@@ -163,12 +163,12 @@ def _note_odd_angles(source: Source, turns: np.ndarray) -> None:
 def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -> None:
     """Refuse positions (N, 3), [m], that no arm reaches, or that stay in place though joints turn by ``travel`` [rad]."""
     units = source.settings.units
-    if np.median(np.linalg.norm(position, axis=1)) > FAR:
+    if np.median(np.linalg.norm(position, axis=1)) > BEYOND_REACH:
         columns = [source.column(name) for name in POSITION]
         error = source.wrong_unit(columns, "length", float(np.abs(position).max()))
         raise MeasurementError(f"{error}; if they are right, move the origin of the world near the robot")
     span = float(np.linalg.norm(np.ptp(position, axis=0)))
-    if units.length != "m" and span < STUCK and np.sum(travel > TURNED) >= 2:
+    if units.length != "m" and span < LEAST_SPAN and np.sum(travel > LEAST_TURN) >= 2:
         raise MeasurementError(
             f"{source.table.title}: with `units: {{length: {units.length}}}` all positions lie within "
             f"{1000 * span:.3g} mm though the joints turn; are they in metres (`units: {{length: m}}`)?"
@@ -178,13 +178,13 @@ def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -
 def refuse_impossible_readings(
     source: Source, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
 ) -> None:
-    """Refuse rows whose instrument cannot have read that.
+    """Refuse rows with numbers that no such instrument can have read.
 
     Args:
         source: The table.
-        observed: What was read, shape (N, W), as the kind of the table has it.
-        cameras: Those of the campaign.
-        camera: Label of each row's, shape (N,); None for other kinds than pixels.
+        observed: Readings of the instrument, shape (N, W), as the kind of the table has them.
+        cameras: Cameras of the campaign, by label.
+        camera: Label of each row's camera, shape (N,); None for other kinds than pixels.
     """
     kind = source.settings.traits
     if kind.ranges:
@@ -206,13 +206,13 @@ def check_distances(source: Source, observed: np.ndarray) -> None:
 
     Args:
         source: The table; only its usable rows are looked at.
-        observed: What was read, shape (N, W).
+        observed: Readings of the instrument, shape (N, W).
 
     Raises:
         MeasurementError: no wire, ballbar or gauge of an arm is that long.
     """
     settings = source.settings
     if (settings.traits.ranges or settings.traits.gauges) and observed.shape[1]:
-        read = np.abs(observed[source.usable, 0])
-        if np.median(read) > LONG:
-            raise source.wrong_unit([source.column(settings.traits.read[0])], "length", float(read.max()))
+        distances = np.abs(observed[source.usable, 0])
+        if np.median(distances) > LONGEST_DISTANCE:
+            raise source.wrong_unit([source.column(settings.traits.read[0])], "length", float(distances.max()))

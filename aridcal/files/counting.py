@@ -13,10 +13,10 @@ from aridcal.system.errors import CampaignError, nearest, shortened
 
 @dataclass(frozen=True)
 class Counting:
-    """What cells of joints are in readings of the URDF's joints, and back.
+    """Conversion of cells of joints to readings of the URDF's joints, and back.
 
     Attributes:
-        unit: SI units in one of each column's, shape (columns,).
+        unit: SI units in one unit of each column, shape (columns,).
         sign: 1, or -1 where the column counts backwards, shape (columns,).
         zero: What the column shows where the URDF's joint is at 0, shape (columns,), [rad] or [m].
     """
@@ -45,17 +45,17 @@ class Counting:
 
 
 def counting(settings: MeasurementSettings, readings: Sequence[str], kinds: Sequence[str]) -> Counting:
-    """How the tables of a block count joints of these names and kinds.
+    """The conversion of a block's tables for joints of these names and kinds.
 
     Raises:
-        CampaignError: the unit of a column is one of something else.
+        CampaignError: the unit of a column is not of the joint's quantity.
     """
-    own = [settings.joints.get(name, JointColumn()) for name in readings]
+    joints = [settings.joints.get(name, JointColumn()) for name in readings]
     columns = [settings.columns.get(name, name) for name in readings]
     return Counting(
         unit=np.array([settings.units.joint(name, kind) for name, kind in zip(columns, kinds, strict=True)]),
-        sign=np.array([float(joint.sign) for joint in own]),
-        zero=np.array([joint.shown_at_zero for joint in own]),
+        sign=np.array([float(joint.sign) for joint in joints]),
+        zero=np.array([joint.shown_at_zero for joint in joints]),
     )
 
 

@@ -1,4 +1,4 @@
-"""``instruments`` of a campaign: what is known beforehand of the things that its measurements refer to (FORMATS section 7)."""
+"""``instruments`` of a campaign: prior knowledge of the things that its measurements refer to (FORMATS section 7)."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.files.yaml_file import Number, Positive, RelativePath, Section, Vector3
 
-EXACT = 1e-5
-"""[m], [rad] Sigma of a length or a right angle where none is stated: finer than workshops measure them."""
+EXACT_STD = 1e-5
+"""[m], [rad]: sigma of a length or a right angle where none is stated: finer than workshops measure them."""
 
-BEYOND = 3.0
+CONTRADICTION_SIGMAS = 3.0
 """Sigmas by which known lengths may contradict each other."""
 
 LEAST_NORMAL = 1e-9
 """Length of a normal below which it points nowhere."""
 
 Side = Annotated[int, Field(ge=1, le=100_000)]
-"""Of an image, [px]: the largest sensors have some 15,000."""
+"""Width or height of an image, [px]: the largest sensors have some 15,000."""
 
 Carrier = str
-"""What something is fixed to: ``tip``, ``world``, or a link of the URDF."""
+"""Name of what carries a thing: ``tip``, ``world``, or a link of the URDF."""
 
 
 def _as_label(label: Any) -> Any:
@@ -45,19 +45,19 @@ class Placement(Section):
 
     @property
     def homogeneous(self) -> np.ndarray:
-        """The same as a matrix, shape (4, 4)."""
+        """The frame as a matrix, shape (4, 4)."""
         R = pin.rpy.rpyToMatrix(np.array(self.rpy))
         return np.asarray(pin.SE3(R, np.array(self.xyz)).homogeneous)
 
     @property
     def given(self) -> bool:
-        """True where the campaign says anything of it."""
+        """True where the campaign states the frame, in part at least."""
         return not self.model_fields_set.isdisjoint(("xyz", "rpy"))
 
-    def place(self, known: bool) -> list[float]:
+    def place(self, is_known: bool) -> list[float]:
         """The translation and then the rotation matrix row by row; NaN where nothing is known."""
         T = self.homogeneous
-        return [*T[:3, 3].tolist(), *T[:3, :3].reshape(-1).tolist()] if known else 12 * [np.nan]
+        return [*T[:3, 3].tolist(), *T[:3, :3].reshape(-1).tolist()] if is_known else 12 * [np.nan]
 
 
 class LengthSettings(Section):
@@ -66,7 +66,7 @@ class LengthSettings(Section):
     between: tuple[Label, Label]
     length: Positive
     """[m]"""
-    std: Positive = EXACT
+    std: Positive = EXACT_STD
     """1-sigma, [m]."""
 
 
@@ -74,7 +74,7 @@ class RightAngleSettings(Section):
     """Two planes that are known to be perpendicular."""
 
     between: tuple[Label, Label]
-    std: Positive = EXACT
+    std: Positive = EXACT_STD
     """1-sigma of the angle, [rad]."""
 
 
@@ -168,7 +168,7 @@ class ArmCameraSettings(Placement):
     """Principal point, [px]; the middle of the first pixel is 0."""
     width: Side
     height: Side
-    """Of the images, [px]."""
+    """Size of the images, [px]."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """k1, k2, p1, p2, k3."""
     on: Carrier = TIP
@@ -196,8 +196,8 @@ class ArmCameraSettings(Placement):
     @property
     def state(self) -> list[float]:
         """Place, intrinsics, and 1 for a camera on the tip or on a link: the path then leads from what it sees to the camera."""
-        known = self.given or "place" not in self.identify
-        return [*self.place(known), *self.intrinsics.tolist(), float(self.on != WORLD)]
+        is_known = self.given or "place" not in self.identify
+        return [*self.place(is_known), *self.intrinsics.tolist(), float(self.on != WORLD)]
 
     @property
     def free(self) -> list[bool]:
@@ -230,12 +230,12 @@ class TargetSettings(Placement):
 
 
 class PointSettings(Section):
-    """What is known of points, and what carries them."""
+    """Known points, and what carries them."""
 
     file: RelativePath | None = None
     """Table of those whose coordinates are known: point, x, y, z, std, and perhaps on."""
     on: Carrier = WORLD
-    """Carries all of which the table does not say it."""
+    """Carrier of the points for which the table names none."""
 
 
 def _as_points(value: Any) -> Any:
@@ -249,7 +249,7 @@ def _as_boards(value: Any) -> Any:
 
 
 class InstrumentSettings(Section):
-    """All that is known beforehand."""
+    """Prior knowledge of all things."""
 
     targets: dict[str, TargetSettings] = Field(default_factory=dict)
     points: Annotated[PointSettings, BeforeValidator(_as_points)] = PointSettings()
@@ -269,21 +269,21 @@ class InstrumentSettings(Section):
 
     @property
     def sides(self) -> dict[str, Carrier]:
-        """What carries the markers of no table that each camera looks at: not what carries the camera, unless that is said."""
-        stated = [board.on for board in self.markers if board.on is not None and board.file is None]
+        """Carrier of the markers without a table that each camera looks at: not its own, unless the campaign says so."""
+        sides = [board.on for board in self.markers if board.on is not None and board.file is None]
         usual = {name: TIP if camera.on == WORLD else WORLD for name, camera in self.cameras.items()}
-        return {name: stated[0] if stated else side for name, side in usual.items()}
+        return {name: sides[0] if sides else side for name, side in usual.items()}
 
     @property
     def boards(self) -> dict[Carrier, MarkerSettings]:
-        """Boards of which the markers' places are known, by what carries them."""
-        other = next(iter(self.sides.values()), WORLD)
-        return {board.on or other: board for board in self.markers if board.file is not None}
+        """Boards with a table of their markers' places, by carrier."""
+        usual = next(iter(self.sides.values()), WORLD)
+        return {board.on or usual: board for board in self.markers if board.file is not None}
 
     def looked_at(self, camera: str) -> tuple[Carrier, ...]:
-        """What carries the markers that a camera looks at: all boards but one on what carries the camera, or what has none."""
-        own = self.cameras[camera].on
-        return tuple(carrier for carrier in self.boards if carrier != own) or (self.sides[camera],)
+        """Carriers of the markers that a camera looks at: those of boards beside its own carrier, else that of single markers."""
+        carrier_of_camera = self.cameras[camera].on
+        return tuple(carrier for carrier in self.boards if carrier != carrier_of_camera) or (self.sides[camera],)
 
     def targets_on(self, tip: str) -> dict[str, str]:
         """Links other than the robot's tip that carry targets, by the targets' labels."""
@@ -291,13 +291,13 @@ class InstrumentSettings(Section):
 
     @property
     def tables(self) -> tuple[Path, ...]:
-        """Files that it names."""
+        """Files under `instruments`."""
         named = (self.points.file, *(board.file for board in self.markers))
         return tuple(path for path in named if path is not None)
 
     @property
     def links(self) -> dict[str, str]:
-        """Links of the URDF that it names, and the key that does."""
+        """Links of the URDF under `instruments`, and the key that names each."""
         things: Mapping[str, Mapping[str, Any]] = {"target": self.targets, **self.declared}
         named = {thing.on: f"{role}s.{name}.on" for role, of in things.items() for name, thing in of.items()}
         named |= {board.on: f"markers[{k}].on" for k, board in enumerate(self.markers) if board.on is not None}
@@ -328,7 +328,7 @@ class InstrumentSettings(Section):
         lengths: dict[frozenset[str], LengthSettings] = {}
         for number, one in enumerate(self.lengths):
             other = lengths.setdefault(frozenset(one.between), one)
-            if abs(one.length - other.length) > BEYOND * np.hypot(one.std, other.std):
+            if abs(one.length - other.length) > CONTRADICTION_SIGMAS * np.hypot(one.std, other.std):
                 raise ValueError(
                     f"lengths[{number}]: {' and '.join(one.between)} are {one.length:g} m apart here and {other.length:g} m "
                     "elsewhere; delete one, or state the `std` of both"
@@ -347,7 +347,7 @@ def _refuse_impossible_triangles(lengths: dict[frozenset[str], LengthSettings]) 
         a, b = pair
         for c in joined[a].keys() & joined[b].keys():
             first, second = joined[a][c], joined[b][c]
-            slack = BEYOND * float(np.sqrt(one.std**2 + first.std**2 + second.std**2))
+            slack = CONTRADICTION_SIGMAS * float(np.sqrt(one.std**2 + first.std**2 + second.std**2))
             if one.length > first.length + second.length + slack:
                 raise ValueError(
                     f"lengths: {' and '.join(sorted(pair))} cannot be {one.length:g} m apart: by way of {c} it is "

@@ -30,7 +30,7 @@ OF_POSES = ("position", "rotation")
 DIRECTION = "_direction"
 
 # Farther than any arm reaches, [m].
-FAR = 100.0
+BEYOND_REACH = 100.0
 
 # Quantities of a table beside those of its kind: which of several targets was measured, which image was looked at.
 TARGET, SHOT = "target", "shot"
@@ -44,7 +44,7 @@ ANGLES = MappingProxyType({"rad": 1.0, "deg": math.pi / 180})
 # Seconds in one of each unit of time.
 TIMES = MappingProxyType({"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0})
 
-# The same of tolerances.
+# Radians in one of each unit of a tolerance of angles.
 SMALL_ANGLES = MappingProxyType({**ANGLES, "mrad": 1e-3})
 
 
@@ -121,7 +121,7 @@ class Noise(Section):
     inclination: Sigma | None = None
     """[rad]"""
     rows: Literal["relative", "absolute", "ignore"] = "relative"
-    """What the `std_*` columns are taken for."""
+    """Meaning of the `std_*` columns."""
 
 
 SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
@@ -129,7 +129,7 @@ SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
 THOUSANDS = {"": "", ".": ".", ",": ",", "'": "'", "blank": " "}
 
 LAST_LINE = 100_000
-"""Below which no header stands."""
+"""Last line that a header may have."""
 
 
 def _of_text(encoding: str) -> str:
@@ -157,7 +157,7 @@ class DatesSettings(Section):
     """Columns that hold dates or times of day: they become one of seconds."""
 
     order: Literal["ymd", "dmy", "mdy"] = "ymd"
-    """Of day, month and year where all three are numbers."""
+    """Order of day, month and year where all three are numbers."""
     columns: Annotated[tuple[Name, ...], BeforeValidator(listed), Field(min_length=1, max_length=2)]
 
 
@@ -165,7 +165,7 @@ class TableSettings(Section):
     """How the files are written."""
 
     sheet: Name = ""
-    """Of a workbook, where it has several; of `export: robot_calibration` the sensor."""
+    """Sheet of a workbook with several; sensor of an `export: robot_calibration`."""
     encoding: Annotated[str, AfterValidator(_of_text)] = "utf-8"
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
     decimal: Literal[".", ","] = "."
@@ -175,9 +175,9 @@ class TableSettings(Section):
     first_row: Line | None = None
     """Line of the first row; `None`: below the header."""
     comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
-    """What lines begin with that are no rows."""
+    """Beginnings of lines that are no rows."""
     names: tuple[Name, ...] = ()
-    """Of the columns, in place of a header."""
+    """Names of the columns, in place of a header."""
     lists: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1)]] = Field(default_factory=dict)
     """Columns whose cells hold several numbers, and names for these."""
     dates: DatesSettings | None = None
@@ -222,7 +222,7 @@ class Units(Section):
     length: Annotated[str, one_of(LENGTHS)] = "m"
     angle: Annotated[str, one_of(ANGLES)] = "rad"
     columns: dict[str, Annotated[str, one_of({**LENGTHS, **ANGLES, **TIMES})]] = Field(default_factory=dict)
-    """Of single columns that are in another one."""
+    """Units of single columns that differ from these."""
 
     @property
     def metres(self) -> float:
@@ -235,20 +235,20 @@ class Units(Section):
         return ANGLES[self.angle]
 
     def scale(self, column: str, of: Literal["length", "angle", "time"]) -> float:
-        """SI units in one of a column's.
+        """SI units in one unit of a column.
 
         Raises:
-            CampaignError: its own unit is one of something else.
+            CampaignError: the column's own unit is of another quantity.
         """
-        usual, known = {
+        usual, units = {
             "length": (self.length, LENGTHS), "angle": (self.angle, ANGLES), "time": ("s", TIMES)
         }[of]  # fmt: skip
         unit = self.columns.get(column, usual)
-        if unit not in known:
+        if unit not in units:
             raise CampaignError(
-                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(known)}"
+                f"measurements.units.columns.{column}: {unit} is no unit of {of}; write one of {', '.join(units)}"
             )
-        return known[unit]
+        return units[unit]
 
     def joint(self, column: str, kind: str) -> float:
         """Radians, or metres of a prismatic joint, in one of the unit of a joint's column."""
@@ -261,7 +261,7 @@ SEQUENCE = re.compile(r"(?!.*(.)\1)([xyz]{3}|[XYZ]{3})")
 HOW_WRITTEN = (
     "write quaternion, {euler: XYZ, columns: [rx, ry, rz]}, {rotvec: [rx, ry, rz]} or {matrix: [r11, r12, r13, …]}"
 )
-"""What an orientation can be."""
+"""Ways to write an orientation."""
 
 
 class Orientation(Section):
@@ -347,15 +347,15 @@ class MeasurementSettings(Section):
     """Settings of the measuring head; for `kind: camera_sonar`."""
     kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
     name: str | None = None
-    """Of the block; `None`: its kind."""
+    """Name of the block; `None`: its kind."""
     camera: str | None = None
-    """Which took the images, where the table of `pixels` has no column `camera`."""
+    """Camera that took the images, where the table of `pixels` has no column `camera`."""
     target: str | None = None
-    """Which target was measured, where the table has no column `target`."""
+    """Target that was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
-    """Whether the joints' columns are what the controller reports or what it was told; `None`: not said."""
+    """Whether the joints' columns are what the controller reports or what it was commanded; `None`: not stated."""
     links: tuple[str, str] | None = None
-    """Between which all rows are; for `kind: joined`."""
+    """Links between which all rows are; for `kind: joined`."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
@@ -363,7 +363,7 @@ class MeasurementSettings(Section):
     joints: dict[str, JointColumn] = Field(default_factory=dict)
     """Joints whose columns count otherwise than the URDF: backwards, or from another zero."""
     inverted: Literal["pose", "orientation"] | None = None
-    """What the tables hold the other way round: T_target_world as a whole, or its orientation alone; `None`: nothing."""
+    """Quantity that the tables hold inverted: T_target_world as a whole, or its orientation alone; `None`: nothing."""
     table: TableSettings = TableSettings()
     """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()
@@ -391,10 +391,10 @@ class MeasurementSettings(Section):
     @model_validator(mode="after")
     def _what_the_kind_has(self) -> MeasurementSettings:
         of_poses = self.traits.places
-        known = OF_POSES if of_poses else tuple(channel.name for channel in self.traits.channels)
-        for channel in sorted(self.noise.model_fields_set - {"rows"} - set(known)):
+        names = OF_POSES if of_poses else tuple(channel.name for channel in self.traits.channels)
+        for channel in sorted(self.noise.model_fields_set - {"rows"} - set(names)):
             raise ValueError(
-                f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(known)}"
+                f"noise.{channel}: `kind: {self.kind}` has no such channel; write noise of {' and '.join(names)}"
             )
         if self.noise.rows != "relative" and not of_poses:
             raise ValueError(f"noise.rows: `kind: {self.kind}` has no std_* columns; delete this key")
@@ -416,7 +416,7 @@ class MeasurementSettings(Section):
         return self
 
     def sense(self, quantity: str) -> int:
-        """-1 of the side from which a joint came whose column counts backwards, else 1."""
+        """-1 for the approach direction of a joint whose column counts backwards, else 1."""
         joint = self.joints.get(quantity.removesuffix(DIRECTION)) if quantity.endswith(DIRECTION) else None
         return 1 if joint is None else joint.sign
 
@@ -432,7 +432,7 @@ class MeasurementSettings(Section):
 
     @property
     def needs(self) -> set[str]:
-        """Columns without which a table is none of this block, beside the joints."""
+        """Columns that a table of this block must have beside the joints."""
         names: tuple[str, ...]
         if self.traits.tracked:
             turned = self.orientation.own or ("qx", "qy", "qz", "qw")
@@ -452,5 +452,5 @@ class MeasurementSettings(Section):
         if kind.tracked:
             return (TARGET,)
         labels = [role.name for role in kind.roles if role.name != "board"]  # which board it is, the camera says
-        more = () if kind.bare else (TARGET,)
-        return (*kind.read, *labels, *((SHOT,) if kind.images else more))
+        target = () if kind.bare else (TARGET,)
+        return (*kind.read, *labels, *((SHOT,) if kind.images else target))

@@ -1,4 +1,4 @@
-"""What a calibration is for, as `campaign.yaml` says it: poses to measure, a region and a tolerance, a certificate."""
+"""Purposes of a calibration in `campaign.yaml`: poses to measure, a region and a tolerance, a certificate."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class SightSettings(Section):
     """An instrument that must see the target: a tracker, a camera beside the arm."""
 
     at: Vector3
-    """Where it stands, in the robot's base frame, [m]."""
+    """Place of the instrument in the robot's base frame, [m]."""
     axis: Vector3 | None = None
     """In the target's frame: where the target opens to; None: it is seen from anywhere."""
     within: Annotated[float, Field(gt=0.0, le=3.15)] | None = None
@@ -46,12 +46,12 @@ class SightSettings(Section):
 
 
 class DesignSettings(Section):
-    """What planned configurations must respect beside the joints' limits."""
+    """Constraints of planned configurations beside the joints' limits."""
 
     keep_out: tuple[Box, ...] | None = None
     """Boxes that neither the arm nor its target may enter; not stated: the plane that the arm is mounted on, if it is known."""
     sight: SightSettings | None = None
-    """What must see the target over the arm and the boxes."""
+    """Instrument that must see the target past the arm and the boxes."""
 
 
 TURNING = frozenset("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u200e\u200f\u061c")
@@ -84,7 +84,7 @@ Paragraph = Annotated[str, _worded(500)]
 
 
 class About(Section):
-    """What the certificate says of a calibration beside its figures; all as the user states it."""
+    """Text of the certificate beside its figures, as the user states it."""
 
     robot: Line | None = None
     """Maker and type; default: the URDF's name."""
@@ -95,7 +95,7 @@ class About(Section):
     """Who measured."""
     organisation: Line | None = None
     date: Line | None = None
-    """Of the measurement; default: that of the files."""
+    """Date of the measurement; default: that of the files."""
     environment: Paragraph | None = None
     """Temperature, humidity, time of warming up."""
     method: Paragraph | None = None
@@ -104,7 +104,7 @@ class About(Section):
 
 
 class Region(Section):
-    """Where the target is to be known: configurations, or places of the target; and of which point on it."""
+    """The region where the target is to be known: configurations, or places of the target; and the point on it."""
 
     file: RelativePath | None = None
     """Rows of joints, or of x y z, as `aridcal design --region` reads them."""
@@ -124,15 +124,15 @@ class Region(Section):
 
 
 class StudySettings(Section):
-    """What `aridcal study` repeats."""
+    """The repetitions of `aridcal study`."""
 
     runs: int = Field(default=100, ge=2, le=100_000)
-    """Of each case."""
+    """Runs of each case."""
     seed: int = Field(default=0, ge=0)
     rows: Annotated[tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...], BeforeValidator(listed)] = ()
     """Numbers of rows; of a scenario default: its `truth.n`."""
     sizes: Annotated[tuple[Annotated[float, Field(ge=0, le=1e6)], ...], BeforeValidator(listed)] = ()
-    """Of an effect, in what `truth.effects` states of it: 0 is none of it, 1 as stated."""
+    """Sizes of an effect, in units of that in `truth.effects`: 0 is none of it, 1 as stated."""
     effect: str | None = None
     """Which of `truth.effects`, as WHERE.KIND; default: the only one."""
 

@@ -39,18 +39,18 @@ STD = ("std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz")
 POSE_OR_LABEL = (*POSITION, *QUATERNION, *STD, "station", "split")
 QUANTITIES = (*POSE_OR_LABEL, "time", "temperature", "payload")
 
-# Words of what a controller computes of its own joints: ``actual_TCP_pose`` of UR's real-time data.
+# Words in names of columns that a controller computes from its own joints: ``actual_TCP_pose`` of UR's real-time data.
 COMPUTED = frozenset(("actual", "tcp", "pose"))
 
-# Of a quaternion's numbers: those of the rotation back.
+# Factors of a quaternion's numbers that give the inverse rotation.
 CONJUGATE = (-1.0, -1.0, -1.0, 1.0)
 
 # Two columns of one orientation that are farther apart disagree, [rad]; rounding to three decimals is allowed.
 SAME_ORIENTATION = 1e-3
-# A covariate that large is a hole: some programs write 1e308 where they know nothing.
-UNUSABLE = 1e30
-# Of a column that would contradict the campaign.
-STATED = "`robot.joints` or `robot.coupled` says where this joint is in all rows"
+# A covariate that large is a hole: some programs write 1e308 for an unknown value.
+LEAST_HOLE = 1e30
+# Why a joint may not have a column.
+STATED_JOINT = "`robot.joints` or `robot.coupled` says where this joint is in all rows"
 # More than an angle of a pose, or a joint with limits, turns, [rad].
 TURNS = 4 * np.pi
 
@@ -63,7 +63,7 @@ def computed(settings: MeasurementSettings) -> tuple[str, ...]:
 
 @dataclass
 class Source:
-    """A table while it is read: which rows are still usable, and what was said about the others.
+    """A table while it is read: which rows are still usable, and the remarks on the others.
 
     Attributes:
         table: The cells.
@@ -72,11 +72,11 @@ class Source:
         kinds: Kind of each joint: prismatic ones are in units of length; limits of a ``continuous`` one count whole turns.
         limits: Lower and upper limit of each joint, shape (columns, 2), [rad] or [m].
         origin: The file that the settings come from, for messages.
-        stated: Joints of which `robot.joints` or `robot.coupled` says where they are: they have no column.
-        usable: Rows in which nothing needed was wrong so far, shape (N,) bool.
-        refused: Why the others are not.
-        notices: What is odd but used.
-        used: Columns that are taken.
+        stated: Joints with a position in `robot.joints` or `robot.coupled`: they have no column.
+        usable: Rows without a fault so far in the cells that are needed, shape (N,) bool.
+        refused: Remarks on the other rows.
+        notices: Remarks on cells that are odd but used.
+        used: Columns that hold a quantity already.
     """
 
     table: Table
@@ -96,14 +96,16 @@ class Source:
         self.refused = list(self.table.refused)
         directions = [f"{joint}_direction" for joint in self.joint_names]
         quantities = (*QUANTITIES, *self.settings.own_columns, *directions)
-        known = (*self.joint_names, *quantities)
+        names = (*self.joint_names, *quantities)
         for name in self.settings.columns:
             if name in self.stated:
-                raise CampaignError(f"{self.origin}: measurements.columns.{name}: {STATED}. Delete it here or there")
-            if name not in known and not name.startswith(("temperature_", "payload_")):
+                raise CampaignError(
+                    f"{self.origin}: measurements.columns.{name}: {STATED_JOINT}. Delete it here or there"
+                )
+            if name not in names and not name.startswith(("temperature_", "payload_")):
                 raise CampaignError(
                     f"{self.origin}: measurements.columns.{name}: is neither a joint of the chain nor a quantity"
-                    f"{nearest(name, known)}"
+                    f"{nearest(name, names)}"
                 )
         for joint in self.joint_names:
             like_a_quantity = joint in quantities or joint.startswith("temperature_")
@@ -126,10 +128,10 @@ class Source:
         """Refuse rows that are still usable.
 
         Args:
-            bad: Which, shape (N,) bool.
-            column: Where their fault stands.
-            why: What is wrong, for messages.
-            value: What several cells of a row amount to, shape (N,), in place of the one cell that the messages show.
+            bad: Rows with the fault, shape (N,) bool.
+            column: Column of the fault.
+            why: The fault, for messages.
+            value: Number that several cells of a row amount to, shape (N,), to be shown in place of one cell.
         """
         rows = np.flatnonzero(bad & self.usable)
         shown = len(rows) * [None] if value is None else [f"{of_row:.6g}" for of_row in value[rows].tolist()]
@@ -143,7 +145,7 @@ class Source:
         return tuple(sorted(self.refused, key=lambda remark: (rank[remark.file], remark.row or 0)))
 
     def note(self, column: str, why: str) -> None:
-        """Say something about a column, or about the whole table."""
+        """Add a remark on a column, or on the whole table."""
         self.notices.append(Remark(self.table.files[0].name, None, column, "", why))
 
     def joints(self, needed: np.ndarray | None = None) -> np.ndarray:
@@ -160,24 +162,24 @@ class Source:
         advice = "Name them as in the URDF, or map them under measurements.columns; `aridcal init` finds which is which"
         self.table.require(columns, advice)
         if needed.all():
-            own = counting(self.settings, self.joint_names, self.kinds)
-            return own.of_shown(self.needed(columns, own.unit))
+            scales = counting(self.settings, self.joint_names, self.kinds)
+            return scales.of_shown(self.needed(columns, scales.unit))
         q = self.seeds()
         for k, name in enumerate(self.joint_columns):
             self.refuse(needed[:, k] & np.isnan(q[:, k]), name, "not a number, and the joint is on the row's path")
         return np.where(np.isnan(q), 0.0, q)
 
     def seeds(self) -> np.ndarray:
-        """Readings where there are some, NaN elsewhere; nothing is refused."""
+        """Readings to start from, shape (N, columns), [rad] or [m], NaN where a cell is empty; no row is refused."""
         values = np.full((len(self.table), len(self.joint_names)), np.nan)
-        own = counting(self.settings, self.joint_names, self.kinds)
+        scales = counting(self.settings, self.joint_names, self.kinds)
         for k, name in enumerate(self.joint_columns):
             if name in self.table.cells:
                 self._take([name])
                 numbers, _ = self.table.numbers(name)
-                shown = numbers * own.unit[k]
+                shown = numbers * scales.unit[k]
                 values[:, k] = np.where(np.abs(shown) <= LARGEST, shown, np.nan)
-        return own.of_shown(values)
+        return scales.of_shown(values)
 
     def pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Measured poses of the target in the world: positions, shape (N, 3), [m], and unit quaternions, shape (N, 4).
@@ -243,30 +245,30 @@ class Source:
         Raises:
             MeasurementError: the two differ by more than rounding in some row.
         """
-        own, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
-        if own == second or not all(self.has(name) for name in (*own, *second)):
+        first, second = self.orientation_columns, [self.column(name) for name in QUATERNION]
+        if first == second or not all(self.has(name) for name in (*first, *second)):
             return
-        scales = self._angle_scales(own) if self.settings.orientation.angles else 1.0
-        angles, also = self.table.matrix(own) * scales, self.table.matrix(second)
-        whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(also, axis=1) > 0.5)  # neither holes nor zeros
+        scales = self._angle_scales(first) if self.settings.orientation.angles else 1.0
+        angles, quaternions = self.table.matrix(first) * scales, self.table.matrix(second)
+        whole = np.isfinite(angles).all(axis=1) & (np.linalg.norm(quaternions, axis=1) > 0.5)  # neither holes nor zeros
         rows = np.flatnonzero(self.usable & whole)
         if not len(rows):
             return
-        difference = turned(angles[rows], self.settings) * pose.turned(also[rows]).inv()
+        difference = turned(angles[rows], self.settings) * pose.turned(quaternions[rows]).inv()
         apart = np.atleast_1d(difference.magnitude())
         worst = int(np.argmax(apart))
         if apart[worst] > SAME_ORIENTATION:
             raise MeasurementError(
-                f"{self.table.title}, line {self.table.line[rows[worst]]}: {' '.join(own)} and {' '.join(second)} are "
+                f"{self.table.title}, line {self.table.line[rows[worst]]}: {' '.join(first)} and {' '.join(second)} are "
                 f"two orientations, {np.degrees(apart[worst]):.3g} degrees apart. Delete one of them; the campaign's own "
-                f"is {' '.join(own)}"
+                f"is {' '.join(first)}"
             )
 
     def std(self) -> np.ndarray | None:
         """1-sigma of the rows, shape (N, 6): position in [m], then rotation vector in [rad].
 
         Returns:
-            Ones for the half that is not given; `None` if neither is given, or wanted.
+            Ones for the half without columns; `None` if neither half has columns, or the campaign ignores them.
 
         Raises:
             MeasurementError: one or two of three columns are there, or none though the campaign relies on them.
@@ -274,11 +276,11 @@ class Source:
         noise, units = self.settings.noise, self.settings.units
         if noise.rows == "ignore":
             return None
-        wanted: list[tuple[slice, Literal["length", "angle"]]] = [(slice(0, 3), "length"), (slice(3, 6), "angle")]
-        wanted = wanted[:1] if self.settings.traits.place_alone else wanted
+        halves: list[tuple[slice, Literal["length", "angle"]]] = [(slice(0, 3), "length"), (slice(3, 6), "angle")]
+        halves = halves[:1] if self.settings.traits.place_alone else halves
         std = np.ones((len(self.table), 6))
-        given = 0
-        for half, of in wanted:
+        count = 0
+        for half, of in halves:
             columns = [self.column(name) for name in STD[half]]
             if any(self.has(name) for name in columns):
                 if self.settings.inverted == "pose" or (self.settings.inverted and of == "angle"):
@@ -291,18 +293,18 @@ class Source:
                 for sigma, name in zip(std[:, half].T, columns, strict=True):
                     self.refuse(sigma <= 0, name, "a sigma must be positive")
                     self.refuse(sigma < FINEST, name, "a sigma that small is none")
-                given += 1
-        if noise.rows == "absolute" and given < len(wanted):
+                count += 1
+        if noise.rows == "absolute" and count < len(halves):
             raise MeasurementError(f"{self.table.title}: `noise: {{rows: absolute}}` needs the std_* columns")
-        return std if given else None
+        return std if count else None
 
     def labels(self, quantity: str, needed: str = "", filled: bool = False) -> np.ndarray | None:
         """A column of words, shape (N,); `None` if there is none.
 
         Args:
-            quantity: ``station``, ``split``, ``target``, or what rows of the kind refer to.
-            needed: What needs it, ``station`` or a kind; then rows without a word are refused.
-            filled: True if they are, too, where there is such a column.
+            quantity: ``station``, ``split``, ``target``, or a role of things that rows of the kind refer to.
+            needed: The setting that needs it, ``station`` or a kind; then rows without a word are refused.
+            filled: True if rows without a word are refused wherever there is such a column.
 
         Raises:
             MeasurementError: it is needed, but not there.
@@ -330,22 +332,22 @@ class Source:
         return words == "test"
 
     def covariates(self) -> dict[str, np.ndarray]:
-        """Every numeric column that is nothing else, by its quantity, shape (N,), NaN in its holes.
+        """Every numeric column that holds no other quantity, by its quantity, shape (N,), NaN in its holes.
 
-        To be called last: what other methods have read is no covariate.
+        To be called last: columns that other methods have read are no covariates.
 
         Raises:
-            MeasurementError: a column is of a joint of which the campaign says where it is.
+            MeasurementError: a column is of a joint whose position the campaign states.
         """
         quantities = {column: quantity for quantity, column in self.settings.columns.items()}
-        found = {}
+        covariates = {}
         for name in self.table.names:
             if not name or name in self.used or name in self.settings.ignore:
                 continue
             quantity = quantities.get(name, name)
             if quantity in self.stated:
                 raise MeasurementError(
-                    f"{self.table.title}: column {name!r}: {STATED}. Delete the joint there to use the column, or list the "
+                    f"{self.table.title}: column {name!r}: {STATED_JOINT}. Delete the joint there to use the column, or list the "
                     "column under `measurements.ignore`"
                 )
             if quantity == ROW_ORDER:
@@ -356,8 +358,8 @@ class Source:
                 values = self._covariate(name, quantity)
                 if values is not None:
                     in_seconds = quantity == "time" and name in self.settings.units.columns
-                    found[quantity] = values * self.settings.units.scale(name, "time") if in_seconds else values
-        return found
+                    covariates[quantity] = values * self.settings.units.scale(name, "time") if in_seconds else values
+        return covariates
 
     def note_unknown_ignored(self) -> None:
         """Name the columns under `ignore` that no file has: slips, perhaps."""
@@ -368,7 +370,7 @@ class Source:
     def _covariate(self, name: str, quantity: str) -> np.ndarray | None:
         """A covariate's values, NaN in its holes, shape (N,); `None` for a column of words."""
         numbers, is_text = self.table.numbers(name)
-        holes = ~(np.abs(numbers) < UNUSABLE)
+        holes = ~(np.abs(numbers) < LEAST_HOLE)
         if quantity.removesuffix("_direction") in self.joint_names:
             holes |= ~np.isin(numbers, (-1, 0, 1))
         filled = np.sum(~holes)
@@ -390,12 +392,12 @@ class Source:
     def wrong_unit(self, columns: Sequence[str], unit: Literal["angle", "length"], largest: float) -> MeasurementError:
         """The error for columns that cannot be in the stated unit; `largest` in [rad] or [m]."""
         units = self.settings.units
-        stated, one = (units.angle, units.radians) if unit == "angle" else (units.length, units.metres)
+        unit_name, unit_size = (units.angle, units.radians) if unit == "angle" else (units.length, units.metres)
         usual = "in degrees, write `units: {angle: deg}`" if unit == "angle" else "in mm, write `units: {length: mm}`"
-        remedy = usual if stated not in ("deg", "mm") else "in another unit, name that in `units`"
+        remedy = usual if unit_name not in ("deg", "mm") else "in another unit, name that in `units`"
         names = ", ".join(repr(name) for name in columns)
         return MeasurementError(
-            f"{self.table.title}: column {names} cannot be in {stated}: values up to {largest / one:.6g}. "
+            f"{self.table.title}: column {names} cannot be in {unit_name}: values up to {largest / unit_size:.6g}. "
             f"If they are {remedy} under measurements"
         )
 

@@ -30,7 +30,7 @@ FramesBy = Literal["station", "target", "both"]
 
 @dataclass(frozen=True)
 class QueryRows:
-    """Rows that ask for poses or for commands; what a row lacks is NaN there.
+    """Rows that ask for poses or for commands; numbers that a row lacks are NaN.
 
     Attributes:
         readings: Shape (N, columns), [rad] or [m].
@@ -39,9 +39,9 @@ class QueryRows:
         covariates: Every other numeric column, shape (N,).
         station: Labels of their frames, shape (N,), or `None`: of their stations, or of their targets where these alone differ.
         line: Line of the file, shape (N,).
-        usable: Rows in which nothing needed is wrong, shape (N,) bool.
-        refused: Why the others are not.
-        notices: What is odd but used.
+        usable: Rows without a fault in the cells that are needed, shape (N,) bool.
+        refused: Remarks on the other rows.
+        notices: Remarks on cells that are odd but used.
         target: Labels of their targets, shape (N,), where stations and targets differ.
     """
 
@@ -75,13 +75,13 @@ class Query(QueryRows):
 
 @dataclass
 class Remarks:
-    """What is odd in the stretches of a table: all is counted, little is kept.
+    """Remarks on the stretches of a table: all are counted, the first few kept.
 
     Attributes:
         most: Remarks that are shown.
-        refused: The first few on rows that cannot be used.
-        notices: The first few on what is odd but used.
-        count: How many there are.
+        refused: The first remarks on unusable rows.
+        notices: The first remarks on cells that are odd but used.
+        count: Number of all remarks.
     """
 
     most: int
@@ -97,7 +97,7 @@ class Remarks:
         self.notices += new[: self.most - len(self.notices)]
 
     def lines(self) -> list[str]:
-        """Those that are shown, on rows that cannot be used first, and how many more there are."""
+        """The remarks that are shown, first those on unusable rows, and the number of all others."""
         shown = [*self.refused, *self.notices][: self.most]
         more = self.count - len(shown)
         return [*shown, f"and {more} more remarks"] if more else shown
@@ -130,10 +130,9 @@ def load_query(
         per_station: The columns that say which frames a row has are needed.
         label: Which columns these are.
         needs: Covariates that every row needs, where they have a column.
-        of_labels: Covariates of stations (see :mod:`aridcal.engine.corrections.labels`); their column is needed then, its
-        cells may be
-            empty.
-        stated: Joints of which the campaign says where they are: they may have no column.
+        of_labels: Covariates of stations (see :mod:`aridcal.engine.corrections.labels`); their column is then needed, its
+            cells may be empty.
+        stated: Joints whose position the campaign states: they may have no column.
         limit: How large the table may be.
 
     Raises:
@@ -208,17 +207,17 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
     import pandas as pd  # slow to load: only where somebody has DataFrames
 
     rows = start.frame()
-    wanted = poses if isinstance(poses, pd.DataFrame) else read_tables([poses], dialect=dialect, needed=places).frame()
-    if len(rows) != len(wanted):
-        raise MeasurementError(f"{start.title}: {len(rows)} rows of seeds for {len(wanted)} poses: give one for each")
-    return wanted.assign(**{joint: rows[joint].to_numpy() for joint in joints})
+    table = poses if isinstance(poses, pd.DataFrame) else read_tables([poses], dialect=dialect, needed=places).frame()
+    if len(rows) != len(table):
+        raise MeasurementError(f"{start.title}: {len(rows)} rows of seeds for {len(table)} poses: give one for each")
+    return table.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
 
 def _refuse_text(source: Source, poses: bool) -> None:
     """Refuse a table with words among its joints or poses: an empty cell asks for nothing, a word is a slip."""
-    wanted = [source.column(name) for name in POSITION] if poses else []
-    wanted += source.orientation_columns if poses and not source.settings.traits.place_alone else []
-    for name in (*source.joint_columns, *wanted):
+    pose_columns = [source.column(name) for name in POSITION] if poses else []
+    pose_columns += source.orientation_columns if poses and not source.settings.traits.place_alone else []
+    for name in (*source.joint_columns, *pose_columns):
         if name in source.table.cells:
             _, is_text = source.table.numbers(name)
             _refuse(source, is_text, name, "not a number", "write one, or leave the cell empty")

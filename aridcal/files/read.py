@@ -44,15 +44,15 @@ ONE_TARGET = "target"
 
 
 def own_target(kind: Kind, title: str) -> str:
-    """Label of the target of a block's rows that name none: links themselves, a level's own frame, or the only one."""
+    """Label of the target for rows of a block that name none: the tip for links, a level's own frame, else the only target."""
     if kind.bare:
         return TIP
     return title if kind.level else ONE_TARGET
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What is wanted of every table: see :func:`load_measurements`."""
+class _Request:
+    """The arguments of :func:`load_measurements`, for every block alike."""
 
     campaign: Campaign
     readings: tuple[str, ...]
@@ -62,13 +62,13 @@ class _Asked:
     require_pose: bool
     fitted: bool
     own_files: bool
-    known: Known
+    declarations: Known
     robot: Robot | None
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One block, read: its rows, and what is known of their noise."""
+    """One block: its rows, and their declared noise."""
 
     rows: Dataset
     noise: RowNoise
@@ -92,7 +92,7 @@ def load_measurements(
         campaign: Says which files, columns, units and orientations.
         readings: Joints whose readings are needed.
         limits: Lower and upper limit of each, shape (columns, 2), [rad] or [m], infinite where there is none.
-        kinds: Of each joint; limits of a `continuous` one count whole turns.
+        kinds: Kind of each joint; limits of a `continuous` one count whole turns.
         seed: For the split into train and test, where the files have no `split`.
         files: Tables in place of the campaign's own, in the same format; of several blocks each table is of the one whose
             columns it has.
@@ -105,23 +105,25 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    known, own = known_of(campaign), files is None
+    declarations, own_files = known_of(campaign), files is None
     robot = robot if campaign.links else None
-    asked = _Asked(campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own, known, robot)
+    request = _Request(
+        campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own_files, declarations, robot
+    )
     of_blocks = _tables_of_blocks(campaign, files)
-    parts = [_block(asked, number, tables) for number, tables in of_blocks]
+    parts = [_block(request, number, tables) for number, tables in of_blocks]
     direct = not require_pose or _direct(campaign, parts[0].rows)
     if not (direct or fitted):
-        there = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
-        parts = [there.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
+        parts_by_number = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
+        parts = [parts_by_number.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
     rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
     if fitted:
-        drawn = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
-        rows = with_training_rows(rows, campaign.question.by_station, drawn)
+        by_draw = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
+        rows = with_training_rows(rows, campaign.question.by_station, by_draw)
     if direct:
         rows = weighed(rows, parts[0].noise)
     else:
-        rows = _with_instruments(weighed_apart(rows, [part.noise for part in parts]), asked)
+        rows = _with_instruments(weighed_apart(rows, [part.noise for part in parts]), request)
     if fitted:
         _check_masses(rows, campaign)
     return rows
@@ -141,39 +143,39 @@ def _check_masses(rows: Dataset, campaign: Campaign) -> None:
             )
 
 
-def _block(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> _Part:
+def _block(request: _Request, number: int, tables: Sequence[AnyTable]) -> _Part:
     """Read the tables of one block of the campaign, which is told by its number."""
-    rows, chosen, noise = _read(asked, number, tables)
-    give_back()  # the table's cells, which are more than all that was made of them
-    rows = rows.select(chosen)  # those as they stand in the table are let go
-    rows = rows.with_repeats(configuration=blocks(rows.readings, asked.kinds))
+    rows, chosen, noise = _read(request, number, tables)
+    give_back()  # memory of the table's cells, which are larger than the rows
+    rows = rows.select(chosen)  # frees the rows in the order of the table
+    rows = rows.with_repeats(configuration=blocks(rows.readings, request.kinds))
     if not rows.origin.split_given:
-        rows = replace(rows, test=draw_split(places(rows.readings, asked.kinds), asked.seed))
+        rows = replace(rows, test=draw_split(places(rows.readings, request.kinds), request.seed))
     return _Part(rows, noise)
 
 
-def _source(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> Source:
+def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Source:
     """The tables of a block as they stand in their files."""
-    campaign, settings = asked.campaign, asked.campaign.blocks[number]
-    own = [settings.columns.get(name, name) for name in asked.readings]
-    needed = None if asked.own_files else {*own, *(settings.needs if asked.require_pose else ())}
-    there = _existing(campaign, tables, asked.own_files)
+    campaign, settings = request.campaign, request.campaign.blocks[number]
+    joint_columns = [settings.columns.get(name, name) for name in request.readings]
+    needed = None if request.own_files else {*joint_columns, *(settings.needs if request.require_pose else ())}
+    files = _existing(campaign, tables, request.own_files)
     from aridcal.files.tables import read_tables  # slow to load: only where there are tables
 
-    table = read_tables(there, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
-    for name in sorted(set(settings.units.columns) - set(table.cells)) if asked.own_files else ():
+    table = read_tables(files, settings.ignore, campaign.limits.table, settings.table.dialect, needed)
+    for name in sorted(set(settings.units.columns) - set(table.cells)) if request.own_files else ():
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
-    stated = campaign.robot.stated.names
-    return Source(table, settings, asked.readings, asked.kinds, asked.limits, str(campaign.path), stated)
+    without_column = campaign.robot.stated.names
+    return Source(table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column)
 
 
-def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
-    """A block's rows without their large cells, which of them are used in what order, and the noise of these."""
-    campaign, kinds, source = asked.campaign, asked.kinds, _source(asked, number, tables)
+def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
+    """All rows of a block, the numbers of its usable rows in their final order, and the noise of these."""
+    campaign, kinds, source = request.campaign, request.kinds, _source(request, number, tables)
     table, settings = source.table, source.settings
-    q = source.joints() if asked.robot is None else np.zeros((len(table), len(kinds)))
-    of_target = asked.require_pose and settings.traits.tracked
+    q = source.joints() if request.robot is None else np.zeros((len(table), len(kinds)))
+    of_target = request.require_pose and settings.traits.tracked
     position, quaternion, std = np.full((len(table), 3), np.nan), None, None
     if of_target:
         if settings.traits.oriented:
@@ -185,21 +187,21 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Datas
     target = source.labels(TARGET, filled=True) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
         target = np.full(len(table), settings.target)
-    read_here = asked.require_pose and not of_target
+    read_here = request.require_pose and not of_target
     observed = _observed(source) if read_here else position
     nothing = untold(len(table))
-    refers = _refers(source, asked) if read_here else nothing.refers
+    refers = _refers(source, request) if read_here else nothing.refers
     if read_here:
         camera = refers[:, 0] if settings.traits.images else None
         refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
-    if asked.robot is not None:
-        paths = routes_of(asked.known, settings.kind, refers, target, asked.robot.tip, settings.links)
-        q = source.joints(needed_columns(asked.robot, paths))
+    if request.robot is not None:
+        paths = routes_of(request.declarations, settings.kind, refers, target, request.robot.tip, settings.links)
+        q = source.joints(needed_columns(request.robot, paths))
     by_station = campaign.question.by_station and (of_target or len(campaign.blocks) == 1)
     station = source.labels("station", needed="station" if by_station else "")
     split = source.split()
     covariates = source.covariates()
-    if asked.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
+    if request.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
         source.note_unknown_ignored()
     _unroll(source, covariates)
     time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
@@ -222,20 +224,20 @@ def _read(asked: _Asked, number: int, tables: Sequence[AnyTable]) -> tuple[Datas
         observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(
-        names=asked.readings,
+        names=request.readings,
         kinds=kinds,
         readings=q,
         blocks=(_block_of(settings),),
-        observed=observed if asked.require_pose else np.zeros((len(table), 0)),
+        observed=observed if request.require_pose else np.zeros((len(table), 0)),
         relative=None,
         covariates=covariates,
         test=np.zeros(len(table), dtype=bool) if split is None else split,
-        labels=Labels(nothing.block, refers, station, target if asked.require_pose else None),
+        labels=Labels(nothing.block, refers, station, target if request.require_pose else None),
         repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
         origin=Origin(
             file=table.file,
             line=table.line,
-            order=_counted_on(table) if asked.fitted else np.full(len(table), np.inf),
+            order=_counted_on(table) if request.fitted else np.full(len(table), np.inf),
             files=table.files,
             sha256=table.sha256,
             refused=source.refusals(),
@@ -271,7 +273,7 @@ def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
 
 
 def _without_rows(like: _Part, settings: MeasurementSettings) -> _Part:
-    """A block that rows which are scored only are none of: its channels keep their places among those of the model."""
+    """A block without rows: where rows are only scored, its channels keep their places among those of the model."""
     none = np.zeros(0, dtype=int)
     rows, origin = like.rows.select(none), Origin(none, none, none.astype(float), split_given=True)
     return _Part(replace(rows, origin=origin, blocks=(_block_of(settings),)), RowNoise())
@@ -285,13 +287,13 @@ def _block_of(settings: MeasurementSettings) -> Block:
 
 
 def _direct(campaign: Campaign, rows: Dataset) -> bool:
-    """True where a tracker alone measures, and nothing tells a target of several or a link that it is on."""
+    """True where one tracker alone measures one target on the tip, without labels and links."""
     only = len(campaign.blocks) == 1 and rows.blocks[0].traits.tracked
     return only and rows.labels.target is None and not campaign.links
 
 
 def _observed(source: Source) -> np.ndarray:
-    """What a row of the kind reads, shape (N, W), in SI; a plane that is touched reads nothing."""
+    """Readings of the instrument of each row, shape (N, W), in SI; a touched plane without a gauge reads 0."""
     settings, kind = source.settings, source.settings.traits
     names = kind.read
     cells = [source.column(name) for name in names]
@@ -305,32 +307,32 @@ def _observed(source: Source) -> np.ndarray:
     return source.needed(cells, scale)
 
 
-def _refers(source: Source, asked: _Asked) -> np.ndarray:
-    """Labels of what each row refers to, shape (N, 3), in the order of the kind's roles."""
-    settings, known = source.settings, asked.known
+def _refers(source: Source, request: _Request) -> np.ndarray:
+    """Labels of the things that each row refers to, shape (N, 3), in the order of the kind's roles."""
+    settings, declarations = source.settings, request.declarations
     n = len(source.table)
     labels = {role.name: np.full(n, "") for role in settings.traits.roles}
     for role in settings.traits.roles:
-        if role.name == "board":  # what carries the marker, once that is known
+        if role.name == "board":  # named after the marker's carrier, below
             continue
         words = source.labels(role.name, needed=settings.kind if role.name in LABELLED else "", filled=True)
         if words is None:
-            words = np.full(n, _default(asked.campaign, settings, role.name))
+            words = np.full(n, _default(request.campaign, settings, role.name))
         if role.name == "camera":
-            words = _declared_cameras(source, words, known)
+            words = _declared_cameras(source, words, declarations)
         labels[role.name] = words
     if "marker" in labels:
         pairs = zip(labels["camera"].tolist(), labels["marker"].tolist(), strict=True)
-        labels["board"] = np.array([known.board_of(camera, marker) for camera, marker in pairs])
-    for board, stated in known.boards.items() if "marker" in labels else ():
-        missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(known.markers))
-        assert stated.file is not None
-        source.refuse(missing, source.column("marker"), f"no such marker in {stated.file.name}")
+        labels["board"] = np.array([declarations.board_of(camera, marker) for camera, marker in pairs])
+    for board, settings_of_board in declarations.boards.items() if "marker" in labels else ():
+        missing = (labels["board"] == board) & ~np.isin(labels["marker"], sorted(declarations.markers))
+        assert settings_of_board.file is not None
+        source.refuse(missing, source.column("marker"), f"no such marker in {settings_of_board.file.name}")
     return np.column_stack([*labels.values(), *[np.full(n, "")] * (ROLES - len(labels))])
 
 
 def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> str:
-    """Label of all rows of a block whose table has no such column: the only thing that the campaign names, or the block's own."""
+    """Label for all rows of a block whose table has no column of a role: the only thing of the campaign, or the block's name."""
     declared = list(campaign.instruments.declared[role])
     if role == "camera" and settings.camera is not None:
         return settings.camera
@@ -345,19 +347,19 @@ def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> st
     return settings.title
 
 
-def _declared_cameras(source: Source, words: np.ndarray, known: Known) -> np.ndarray:
-    """The cameras of the rows, shape (N,), those of unusable rows put right.
+def _declared_cameras(source: Source, words: np.ndarray, declarations: Known) -> np.ndarray:
+    """Camera of each row, shape (N,), any declared one in unusable rows.
 
     Raises:
-        MeasurementError: of one of them nothing is known.
+        MeasurementError: a usable row names a camera that the campaign does not declare.
     """
-    cameras = list(known.settings.cameras)
+    cameras = list(declarations.settings.cameras)
     unknown = ~np.isin(words, cameras)
     rows = np.flatnonzero(unknown & source.usable)
     if len(rows):
         remark = source.table.remark(int(rows[0]), source.column("camera"), "there is no such camera")
         hint = nearest(str(words[rows[0]]), cameras)
-        raise MeasurementError(f"{remark}{hint}; add it under instruments.cameras of {known.origin}")
+        raise MeasurementError(f"{remark}{hint}; add it under instruments.cameras of {declarations.origin}")
     return np.where(unknown, cameras[0], words)
 
 
@@ -368,21 +370,21 @@ def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
         CampaignError: these labels cannot be used with the campaign's frames.
         MeasurementError: a table calls a target of its own what the tip is called.
     """
-    given = rows.labels.target
-    label = given if given is not None else np.full(len(rows), "", dtype=str)
-    own = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
-    if given is None and len(set(own.values())) == 1:
+    labels = rows.labels.target
+    label = labels if labels is not None else np.full(len(rows), "", dtype=str)
+    defaults = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
+    if labels is None and len(set(defaults.values())) == 1:
         return rows
-    if TIP in label and TIP in own.values():
+    if TIP in label and TIP in defaults.values():
         bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
         raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
-    told = np.where(label == "", np.array([own[block.name] for block in rows.blocks])[rows.labels.block], label)
+    filled = np.where(label == "", np.array([defaults[block.name] for block in rows.blocks])[rows.labels.block], label)
     if campaign.frames.tip_target.per is not None:
         raise CampaignError(
             f"{campaign.path}: frames.tip_target: `per: station` is not for several targets "
-            f"({listed(np.unique(told).tolist())}); delete it, and give a target that was moved a label of its own"
+            f"({listed(np.unique(filled).tolist())}); delete it, and give a target that was moved a label of its own"
         )
-    return rows.with_labels(target=told)
+    return rows.with_labels(target=filled)
 
 
 def _refuse_things_at_stations(rows: Dataset, campaign: Campaign) -> None:
@@ -404,47 +406,49 @@ def _refuse_things_at_stations(rows: Dataset, campaign: Campaign) -> None:
             )
 
 
-def _with_instruments(rows: Dataset, asked: _Asked) -> Dataset:
-    """The rows with what is known of the things that they refer to."""
-    rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, asked.readings))
+def _with_instruments(rows: Dataset, request: _Request) -> Dataset:
+    """The rows with the instruments and things that they refer to, and their paths."""
+    rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, request.readings))
     of_blocks = [
         Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
     ]
-    made, remarks = instruments_of(asked.known, of_blocks, asked.readings, asked.fitted and asked.own_files)
-    if asked.robot is not None:
-        remarks = [*remarks, *_undeclared_targets(rows, asked.campaign)]
-        rows = with_routes(rows, asked.campaign.blocks, asked.known, asked.robot)
-    _refuse_things_at_stations(rows, asked.campaign)
-    notices = [Remark(asked.campaign.path.name, None, "", "", remark) for remark in remarks]
-    return replace(rows, instruments=made).with_origin(notices=(*rows.origin.notices, *notices))
+    instruments, remarks = instruments_of(
+        request.declarations, of_blocks, request.readings, request.fitted and request.own_files
+    )
+    if request.robot is not None:
+        remarks = [*remarks, *_undeclared_targets(rows, request.campaign)]
+        rows = with_routes(rows, request.campaign.blocks, request.declarations, request.robot)
+    _refuse_things_at_stations(rows, request.campaign)
+    notices = [Remark(request.campaign.path.name, None, "", "", remark) for remark in remarks]
+    return replace(rows, instruments=instruments).with_origin(notices=(*rows.origin.notices, *notices))
 
 
 def _undeclared_targets(rows: Dataset, campaign: Campaign) -> Iterator[str]:
-    """Remarks on targets beside others of which the campaign says what carries them: a label may be misspelt.
+    """Remarks on targets whose link the campaign does not say, beside others with one: a label may be misspelt.
 
     Raises:
-        MeasurementError: there is no tip that would carry them; naming the first.
+        MeasurementError: the campaign names no tip that would carry them; naming the first.
     """
     if rows.labels.target is None:
         return
     bare = np.array([block.traits.bare for block in rows.blocks])[rows.labels.block]
-    stated = campaign.instruments.targets
-    untold = sorted(set(rows.labels.target[~bare].tolist()) - set(stated))
+    declared = campaign.instruments.targets
+    undeclared = sorted(set(rows.labels.target[~bare].tolist()) - set(declared))
     if "tip" in campaign.robot.model_fields_set:
-        named = [label for label in untold if label not in {ONE_TARGET, *(block.name for block in rows.blocks)}]
-        for label in named if stated else ():
+        named = [label for label in undeclared if label not in {ONE_TARGET, *(block.name for block in rows.blocks)}]
+        for label in named if declared else ():
             yield (
-                f"target {label!r}{nearest(label, stated)}: no key instruments.targets.{label} says on which link it is; "
+                f"target {label!r}{nearest(label, declared)}: no key instruments.targets.{label} says on which link it is; "
                 f"it is taken to be on the tip, {campaign.robot.tip}"
             )
-    elif untold:
+    elif undeclared:
         raise MeasurementError(
-            f"{rows.title}: no key says on which link the target {untold[0]!r} is: add instruments.targets.{untold[0]}: "
+            f"{rows.title}: no key says on which link the target {undeclared[0]!r} is: add instruments.targets.{undeclared[0]}: "
             "{on: LINK}, or name robot.tip, which carries all others"
         )
 
 
-def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Known, robot: Robot) -> Dataset:
+def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], declarations: Known, robot: Robot) -> Dataset:
     """The rows with the paths that they take.
 
     Raises:
@@ -452,12 +456,14 @@ def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], known: Kno
     """
     paths = [Route()] * len(rows)
     for number, block in enumerate(blocks):
-        own = np.flatnonzero(rows.labels.block == number)
-        target = None if rows.labels.target is None else rows.labels.target[own]
-        of_block = routes_of(known, block.kind, rows.labels.refers[own], target, robot.tip, block.links)
-        for k, path in zip(own.tolist(), of_block, strict=True):
+        rows_of_block = np.flatnonzero(rows.labels.block == number)
+        target = None if rows.labels.target is None else rows.labels.target[rows_of_block]
+        of_block = routes_of(
+            declarations, block.kind, rows.labels.refers[rows_of_block], target, robot.tip, block.links
+        )
+        for k, path in zip(rows_of_block.tolist(), of_block, strict=True):
             paths[k] = path
-    routes, route = numbered(paths, known.settings.targets_on(robot.tip).values())
+    routes, route = numbered(paths, declarations.settings.targets_on(robot.tip).values())
     for path in routes[1:]:
         check_route(robot, path)
     return rows.with_labels(routes=routes, route=route)
@@ -469,11 +475,11 @@ def _counted_on(table: Table) -> np.ndarray:
     return np.asarray(table.line + np.cumsum([0, *last])[table.file], dtype=float)
 
 
-def _existing(campaign: Campaign, tables: Sequence[AnyTable], own: bool) -> Sequence[AnyTable]:
+def _existing(campaign: Campaign, tables: Sequence[AnyTable], own_files: bool) -> Sequence[AnyTable]:
     """The tables to read; a README beside the campaign may say where to get a file that is not there."""
     readme = campaign.path.parent / "README.md"
     missing = next((path for path in tables if isinstance(path, Path) and not path.exists()), None)
-    if missing is not None and own and readme.is_file():
+    if missing is not None and own_files and readme.is_file():
         raise MeasurementError(f"{missing}: there is no such file. {readme} may say where to get it")
     return tables
 

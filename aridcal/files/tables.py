@@ -43,7 +43,7 @@ PLAIN_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)
 
 ENDINGS = (".csv", ".parquet")
 
-# What is read where a campaign says how (`table`), or is plain csv or a workbook of one sheet all the same.
+# Endings of files that are read as a campaign says (`table`), or as plain csv or a workbook of one sheet.
 OTHER_ENDINGS = (".txt", ".tsv", ".tab", ".dat", ".asc", ".log", ".prn", *workbooks.ENDINGS)
 
 # Characters of a cell as text: no path of a file has more than 4,096, and every cell of a column takes as much as its longest.
@@ -153,10 +153,10 @@ class Table:
         if not missing:
             return
         spare = [name for name in self.names if name and name not in columns]
-        wanted = ", ".join(repr(name) + _close(name, spare) for name in missing[:SHOWN_MISSING])
-        wanted += f" and {len(missing) - SHOWN_MISSING} more" if len(missing) > SHOWN_MISSING else ""
-        there = listed([name or "''" for name in self.names])
-        raise MeasurementError(f"{self.title}: no column {wanted}; there are: {there}. {advice}".rstrip())
+        names_and_hints = ", ".join(repr(name) + _close(name, spare) for name in missing[:SHOWN_MISSING])
+        names_and_hints += f" and {len(missing) - SHOWN_MISSING} more" if len(missing) > SHOWN_MISSING else ""
+        present = listed([name or "''" for name in self.names])
+        raise MeasurementError(f"{self.title}: no column {names_and_hints}; there are: {present}. {advice}".rstrip())
 
 
 def path_of(table: AnyTable) -> Path:
@@ -239,20 +239,20 @@ def _read(
 
 
 def check_ending(path: Path, dialect: Dialect = PLAIN) -> None:
-    """Refuse a file that is no table by its name.
+    """Refuse a file whose ending is not that of a table.
 
     Raises:
-        MeasurementError: its ending is none that is read.
+        MeasurementError: naming the file.
     """
-    known = (*ENDINGS, *OTHER_ENDINGS, *(robot_calibration.ENDINGS if dialect.export else ()))
-    if path.is_file() and path.suffix.lower() not in known:
+    endings = (*ENDINGS, *OTHER_ENDINGS, *(robot_calibration.ENDINGS if dialect.export else ()))
+    if path.is_file() and path.suffix.lower() not in endings:
         raise MeasurementError(
             f"{path}: should be a .csv or .parquet file, text ({' '.join(OTHER_ENDINGS[:3])} …) or .xlsx; save it as one of these"
         )
 
 
 def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, needed: Collection[str] | None) -> FileCells:
-    """Read what is no parquet; plain csv in spite of the dialect only where that makes nothing of it."""
+    """Read a file of text or a workbook; as plain csv in spite of the dialect only where the dialect fails."""
     if dialect == PLAIN and path.suffix.lower() not in workbooks.ENDINGS:
         return read_csv(content, path, limit)
     may_be_plain = needed is not None and path.suffix.lower() == ".csv" and _is_plain(content, needed)
@@ -261,16 +261,16 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
     try:
         if dialect.export:
             return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
-        read = read_written(content, path, limit, dialect, needed is not None)
+        cells = read_written(content, path, limit, dialect, needed is not None)
     except MeasurementError:
         if may_be_plain:
             return read_csv(content, path, limit)
         raise
     if not may_be_plain:
-        return read
-    lacks = not set(needed or ()) <= set(read.cells.column_names)
+        return cells
+    lacks = not set(needed or ()) <= set(cells.cells.column_names)
     points = dialect.decimal != "." and b"." in content.split(b"\n", 2)[1]
-    return read_csv(content, path, limit) if lacks or points else read
+    return read_csv(content, path, limit) if lacks or points else cells
 
 
 def _is_plain(content: bytes, needed: Collection[str]) -> bool:
@@ -281,8 +281,10 @@ def _is_plain(content: bytes, needed: Collection[str]) -> bool:
     except (ValueError, csv.Error):  # not UTF-8, or one line only
         return False
     places = [k for k, name in enumerate(names) if name.strip() in needed]
-    found = {names[k].strip() for k in places} == set(needed)
-    return found and all(k < len(cells) and (not cells[k] or PLAIN_NUMBER.fullmatch(cells[k].strip())) for k in places)
+    complete = {names[k].strip() for k in places} == set(needed)
+    return complete and all(
+        k < len(cells) and (not cells[k] or PLAIN_NUMBER.fullmatch(cells[k].strip())) for k in places
+    )
 
 
 def _is_utf8_instead(content: bytes, encoding: str) -> bool:
@@ -337,11 +339,11 @@ def _floats(column: pa.ChunkedArray) -> np.ndarray:
     """Numbers of a column, NaN in its holes: from Arrow's own bytes, for its conversions all load pandas, which takes a while."""
     parts = [np.empty(0)]
     for chunk in column.chunks:
-        here = slice(chunk.offset, chunk.offset + len(chunk))
+        of_chunk = slice(chunk.offset, chunk.offset + len(chunk))
         holes = chunk.is_null().cast(pa.uint8())
         if len(chunk):
             empty = np.frombuffer(holes.buffers()[1], dtype=np.uint8)[holes.offset : holes.offset + len(chunk)]
-            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[here]))
+            parts.append(np.where(empty, np.nan, np.frombuffer(chunk.buffers()[1], dtype=float)[of_chunk]))
     return np.concatenate(parts)
 
 
@@ -357,7 +359,7 @@ def _trimmed(column: pa.ChunkedArray) -> pa.ChunkedArray:
 
 
 def is_number(kind: pa.DataType) -> bool:
-    """True of columns that need no reading as text."""
+    """True for columns of numbers, which need no reading as text."""
     number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_decimal(kind)
     return number or pa.types.is_boolean(kind) or pa.types.is_null(kind)
 

@@ -1,4 +1,4 @@
-"""What is known beforehand of the things that rows refer to: points, anchors, planes, cameras, boards and markers."""
+"""Prior knowledge of the things that rows refer to: points, anchors, planes, cameras, boards and markers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import WORLD, Block, Instruments, Things, Tie
 from aridcal.files.campaign import Job
 from aridcal.files.instrument_settings import (
-    BEYOND,
+    CONTRADICTION_SIGMAS,
     AnchorSettings,
     InstrumentSettings,
     LengthSettings,
@@ -25,7 +25,7 @@ from aridcal.files.instrument_settings import (
     Placement,
     PlaneSettings,
 )
-from aridcal.files.measurement_settings import FAR
+from aridcal.files.measurement_settings import BEYOND_REACH
 from aridcal.files.yaml_file import FINEST, LARGEST
 from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest
 from aridcal.system.reading.regular_files import TABLE, Limit
@@ -38,7 +38,7 @@ RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
 
 UNDECLARED: dict[str, AnchorSettings | PlaneSettings] = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
-"""Of what nothing is stated; nothing sees through a camera that is not declared."""
+"""Settings of things that the campaign does not name; a camera must be named."""
 
 HAVE_LENGTHS = ("point", "anchor", "marker")
 """Things between which a length may be known."""
@@ -51,7 +51,7 @@ class KnownPlace:
     Attributes:
         xyz: Shape (3,), [m].
         std: 1-sigma of each coordinate, [m]; infinite where they are exact.
-        on: What carries it; empty where the table does not say it.
+        on: Its carrier; empty where the table does not say it.
     """
 
     xyz: np.ndarray
@@ -92,9 +92,9 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
                 raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
         places[label] = KnownPlace(cells[:3], std, str(on[row]).strip())
-    if np.median(np.linalg.norm(values[:, :3], axis=1)) > FAR:
+    if np.median(np.linalg.norm(values[:, :3], axis=1)) > BEYOND_REACH:
         raise MeasurementError(
-            f"{table.title}: x y z cannot be in m: most are more than {FAR:g} m away; give them in metres"
+            f"{table.title}: x y z cannot be in m: most are more than {BEYOND_REACH:g} m away; give them in metres"
         )
     return places
 
@@ -125,7 +125,7 @@ class Known:
         return {BOARD + carrier: board for carrier, board in self.settings.boards.items()}
 
     def carrier(self, role: str, label: str) -> str:
-        """What carries a thing: ``tip``, ``world`` or a link."""
+        """Carrier of a thing: ``tip``, ``world`` or a link."""
         declared = self.settings.declared.get(role, {})
         if label in declared:
             return declared[label].on
@@ -142,12 +142,12 @@ class Known:
         return self.carrier(role, label) != WORLD
 
     def beforehand(self, role: Role, label: str, on_board: bool) -> tuple[Sequence[float], Sequence[bool], float]:
-        """State of one thing, which components of it are identified, and the sigma of those of which something is known.
+        """State of one thing, which of its components are identified, and the sigma of those that are known beforehand.
 
         Args:
-            role: What it is.
-            label: Its name.
-            on_board: True of markers of the board.
+            role: Role of the thing.
+            label: Its label.
+            on_board: True for a marker of a board with a table.
         """
         if role == TRACKER:
             return [0.0] * role.size, [False] * len(role.components), np.inf
@@ -155,10 +155,10 @@ class Known:
             thing = self.settings.declared[role.name].get(label) or UNDECLARED[role.name]
             return thing.state, thing.free, np.inf
         if role == GRASP:
-            return Placement().place(known=False), 6 * [True], np.inf
+            return Placement().place(is_known=False), 6 * [True], np.inf
         if role.name == "board":
             if label not in self.boards:  # each marker is a point of what carries it
-                return Placement().place(known=True), 6 * [False], np.inf
+                return Placement().place(is_known=True), 6 * [False], np.inf
             markers = self.boards[label]
             return markers.place(markers.given or not markers.identify), 6 * [markers.identify], np.inf
         places = self.points if role.name == "point" else self.markers if on_board else {}
@@ -168,7 +168,7 @@ class Known:
 
 
 def known_of(campaign: Job) -> Known:
-    """Read the tables of what is known.
+    """Read what a campaign says of its instruments, its tables of points and markers included.
 
     Raises:
         MeasurementError: one of them cannot be read.
@@ -187,11 +187,11 @@ def known_of(campaign: Job) -> Known:
 
 @dataclass(frozen=True)
 class Rows:
-    """What the usable rows of a block refer to.
+    """Things that the usable rows of a block refer to.
 
     Attributes:
-        kind: Of the block.
-        refers: Labels by role, shape (n, 3).
+        kind: Kind of the block.
+        refers: Labels of the things, by the kind's roles, shape (n, 3).
     """
 
     kind: Kind
@@ -199,35 +199,35 @@ class Rows:
 
     def labels(self, role: str) -> np.ndarray:
         """Labels of one role, shape (n,), or none."""
-        names = [own.name for own in self.kind.roles]
+        names = [role_of_kind.name for role_of_kind in self.kind.roles]
         return self.refers[:, names.index(role)] if role in names else self.refers[:0, 0]
 
 
 def with_trackers(
     refers: np.ndarray, blocks: Sequence[Block], block: np.ndarray, joints: Collection[str]
 ) -> np.ndarray:
-    """What rows refer to, shape (N, 3), poses and positions to a tracker: their block's name, unless something has it already.
+    """Labels of the things that rows refer to, shape (N, 3), with a tracker for poses and positions, called after its block.
 
     Args:
-        refers: Labels of everything else, shape (N, 3).
-        blocks: Of the rows.
-        block: Number of each row's, shape (N,).
+        refers: Labels of all other things, shape (N, 3).
+        blocks: Blocks of the rows.
+        block: Number of each row's block, shape (N,).
         joints: Names that no thing may have.
     """
-    taken = {*joints, *np.unique(refers).tolist()}
-    own = [f"block {b.name}" if b.name in taken or RESERVED.fullmatch(b.name) else b.name for b in blocks]
-    label = np.array([name if b.traits.tracked else "" for name, b in zip(own, blocks, strict=True)])[block]
+    names = {*joints, *np.unique(refers).tolist()}
+    titles = [f"block {b.name}" if b.name in names or RESERVED.fullmatch(b.name) else b.name for b in blocks]
+    label = np.array([name if b.traits.tracked else "" for name, b in zip(titles, blocks, strict=True)])[block]
     return np.column_stack([np.where(label != "", label, refers[:, 0]), refers[:, 1:]])
 
 
 def instruments_of(
-    known: Known, blocks: Sequence[Rows], joints: Collection[str], complete: bool
+    declarations: Known, blocks: Sequence[Rows], joints: Collection[str], complete: bool
 ) -> tuple[Instruments, list[str]]:
-    """All things that rows refer to, and remarks on those of which the rows tell nothing.
+    """All things that rows refer to, and remarks on things of which the rows tell too little.
 
     Args:
-        known: What the campaign says of them.
-        blocks: Rows of each.
+        declarations: What the campaign says of things.
+        blocks: Rows of each block.
         joints: Names that no thing may have.
         complete: False for rows that are scored only: they need not refer to all that the campaign names.
 
@@ -238,41 +238,43 @@ def instruments_of(
     """
     roles = {role.name: role for rows in blocks for role in rows.kind.roles}
     counts = {name: sum((Counter(rows.labels(name).tolist()) for rows in blocks), Counter[str]()) for name in roles}
-    seen = {name: tuple(sorted(count)) for name, count in counts.items()}
+    labels = {name: tuple(sorted(count)) for name, count in counts.items()}
     board = _boards_of_markers(blocks)
-    _check_names(seen, joints)
+    _check_names(labels, joints)
     things = {}
     for name, role in roles.items():
-        found = [known.beforehand(role, label, board.get(label) in known.boards) for label in seen[name]]
-        free = np.array([free for _, free, _ in found], dtype=bool).reshape(len(found), len(role.components))
-        std = np.where(free, np.array([std for *_, std in found]).reshape(-1, 1), np.inf)
-        start = np.array([state for state, _, _ in found], dtype=float).reshape(len(found), role.size)
-        linked = frozenset(label for label in seen[name] if known.linked(name, label))
-        things[name] = Things(role, seen[name], start, free, std, linked)
-    ties = (*_lengths(known, seen, complete), *_right_angles(known, seen, complete))
-    remarks = [*_too_few(blocks, things, counts, ties), *_never_seen(known, seen)] if complete else []
-    return Instruments(things, ties, _in_world(known, blocks, things)), remarks
+        beforehand = [
+            declarations.beforehand(role, label, board.get(label) in declarations.boards) for label in labels[name]
+        ]
+        free = np.array([free for _, free, _ in beforehand], dtype=bool).reshape(len(beforehand), len(role.components))
+        std = np.where(free, np.array([std for *_, std in beforehand]).reshape(-1, 1), np.inf)
+        start = np.array([state for state, _, _ in beforehand], dtype=float).reshape(len(beforehand), role.size)
+        linked = frozenset(label for label in labels[name] if declarations.linked(name, label))
+        things[name] = Things(role, labels[name], start, free, std, linked)
+    ties = (*_lengths(declarations, labels, complete), *_right_angles(declarations, labels, complete))
+    remarks = [*_too_few(blocks, things, counts, ties), *_unreferred(declarations, labels)] if complete else []
+    return Instruments(things, ties, _in_world(declarations, blocks, things)), remarks
 
 
 def _boards_of_markers(blocks: Sequence[Rows]) -> dict[str, str]:
-    """Board of each marker."""
-    found: dict[str, str] = {}
+    """Name of the board of each marker."""
+    boards: dict[str, str] = {}
     for rows in blocks:
         pairs = np.unique(np.column_stack([rows.labels("marker"), rows.labels("board")]), axis=0)
         for marker, board in pairs.tolist():
-            if found.setdefault(marker, board) != board:
+            if boards.setdefault(marker, board) != board:
                 raise MeasurementError(
                     f"the marker {marker!r} is seen by cameras on the tip and in the world: it is fixed to one of them only; "
                     "rename it in one of the tables"
                 )
-    return found
+    return boards
 
 
-def _check_names(seen: dict[str, tuple[str, ...]], joints: Collection[str]) -> None:
-    """Refuse names that mean something else already."""
-    for role, labels in seen.items():
+def _check_names(by_role: dict[str, tuple[str, ...]], joints: Collection[str]) -> None:
+    """Refuse labels that are names of joints, of places of corrections or of other things."""
+    for role, labels in by_role.items():
         others = (
-            {name for other, names in seen.items() if other != role for name in names} if role == "camera" else set()
+            {name for other, names in by_role.items() if other != role for name in names} if role == "camera" else set()
         )
         for label in labels:
             if label in joints:
@@ -289,67 +291,69 @@ def _check_names(seen: dict[str, tuple[str, ...]], joints: Collection[str]) -> N
 
 
 def _role_of(
-    known: Known, seen: dict[str, tuple[str, ...]], key: str, pair: tuple[str, str], roles: Sequence[str]
+    declarations: Known, by_role: dict[str, tuple[str, ...]], key: str, pair: tuple[str, str], roles: Sequence[str]
 ) -> str:
     """Role of two things that are named together; empty if a known point is not among the rows, which then tell nothing."""
-    having = [role for role in roles if set(pair) <= set(seen.get(role, ()))]
+    having = [role for role in roles if set(pair) <= set(by_role.get(role, ()))]
     if len(having) > 1:
         raise CampaignError(
-            f"{known.origin}: instruments.{key}: {' and '.join(pair)} may be {' or '.join(having)}; rename the labels of one"
+            f"{declarations.origin}: instruments.{key}: {' and '.join(pair)} may be {' or '.join(having)}; "
+            "rename the labels of one"
         )
     if having:
         return having[0]
-    there = sorted({label for role in roles for label in seen.get(role, ())})
+    labels = sorted({label for role in roles for label in by_role.get(role, ())})
     for label in pair:
-        if label not in there and label not in known.points and label not in known.markers:
+        if label not in labels and label not in declarations.points and label not in declarations.markers:
             raise CampaignError(
-                f"{known.origin}: instruments.{key}: no usable row refers to {label!r}{nearest(label, there)}; name what rows do"
+                f"{declarations.origin}: instruments.{key}: no usable row refers to {label!r}{nearest(label, labels)}; "
+                "name what rows do"
             )
-    if set(pair) <= set(there):
+    if set(pair) <= set(labels):
         raise CampaignError(
-            f"{known.origin}: instruments.{key}: {' and '.join(pair)} are not of one sort; name two that are"
+            f"{declarations.origin}: instruments.{key}: {' and '.join(pair)} are not of one sort; name two that are"
         )
     return ""
 
 
-def _lengths(known: Known, seen: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
-    """Known lengths of what rows refer to."""
-    for number, length in enumerate(known.settings.lengths):
+def _lengths(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+    """Known lengths between things that rows refer to."""
+    for number, length in enumerate(declarations.settings.lengths):
         key, (a, b) = f"lengths[{number}].between", length.between
-        if complete or any({a, b} <= set(seen.get(role, ())) for role in HAVE_LENGTHS):
-            role = _role_of(known, seen, key, (a, b), HAVE_LENGTHS)
+        if complete or any({a, b} <= set(by_role.get(role, ())) for role in HAVE_LENGTHS):
+            role = _role_of(declarations, by_role, key, (a, b), HAVE_LENGTHS)
             if role:
-                _check_against_places(known, role, number, length)
+                _check_against_places(declarations, role, number, length)
                 yield Tie(role, a, b, "distance", length.length, length.std)
 
 
-def _check_against_places(known: Known, role: str, number: int, length: LengthSettings) -> None:
+def _check_against_places(declarations: Known, role: str, number: int, length: LengthSettings) -> None:
     """Refuse a length that the known places of its ends contradict."""
-    places = {"point": known.points, "marker": known.markers}.get(role, {})
+    places = {"point": declarations.points, "marker": declarations.markers}.get(role, {})
     ends = [places[label] for label in length.between if label in places]
     if len(ends) == 2:
         apart = float(np.linalg.norm(ends[0].xyz - ends[1].xyz))
         stds = [end.std for end in ends if np.isfinite(end.std)]
-        if abs(apart - length.length) > BEYOND * np.linalg.norm([length.std, *stds]):
+        if abs(apart - length.length) > CONTRADICTION_SIGMAS * np.linalg.norm([length.std, *stds]):
             raise CampaignError(
-                f"{known.origin}: instruments.lengths[{number}]: {' and '.join(length.between)} are {apart:.6g} m apart by "
-                f"their coordinates, not {length.length:g} m; delete one of the two"
+                f"{declarations.origin}: instruments.lengths[{number}]: {' and '.join(length.between)} are {apart:.6g} m apart "
+                f"by their coordinates, not {length.length:g} m; delete one of the two"
             )
 
 
-def _right_angles(known: Known, seen: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
-    """Planes that are known to be perpendicular."""
-    for number, angle in enumerate(known.settings.perpendicular):
+def _right_angles(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+    """Right angles between planes that rows refer to."""
+    for number, angle in enumerate(declarations.settings.perpendicular):
         a, b = angle.between
-        if complete or {a, b} <= set(seen.get("plane", ())):
-            _role_of(known, seen, f"perpendicular[{number}]", (a, b), ("plane",))
+        if complete or {a, b} <= set(by_role.get("plane", ())):
+            _role_of(declarations, by_role, f"perpendicular[{number}]", (a, b), ("plane",))
             yield Tie("plane", a, b, "cosine", 0.0, angle.std)
 
 
 def _too_few(
     blocks: Sequence[Rows], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
 ) -> Iterator[str]:
-    """Things whose rows only just tell where they are themselves."""
+    """Remarks on things with no more rows than their own unknowns need."""
     numbers = {role.name: sum(c.size for c in rows.kind.channels) for rows in blocks for role in rows.kind.roles}
     for name, of_role in things.items():
         tied = {label for tie in ties if tie.role == name for label in (tie.first, tie.second)}
@@ -365,18 +369,18 @@ def _too_few(
             )
 
 
-def _never_seen(known: Known, seen: dict[str, tuple[str, ...]]) -> Iterator[str]:
-    """Things of which the campaign knows something and the rows nothing; of a board not all markers need be seen."""
-    of_role: dict[str, Mapping[str, object]] = {"point": known.points, **known.settings.declared}
-    if "marker" not in seen:
-        of_role["marker"] = known.markers
+def _unreferred(declarations: Known, by_role: dict[str, tuple[str, ...]]) -> Iterator[str]:
+    """Remarks on things that the campaign names and no row refers to; of a board not all markers need be seen."""
+    of_role: dict[str, Mapping[str, object]] = {"point": declarations.points, **declarations.settings.declared}
+    if "marker" not in by_role:
+        of_role["marker"] = declarations.markers
     for role, labels in of_role.items():
-        absent = sorted(set(labels) - set(seen.get(role, ())))
+        absent = sorted(set(labels) - set(by_role.get(role, ())))
         if absent:
             yield f"{role} {listed(absent)}: no row refers to it; it is not used"
 
 
-def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
+def _in_world(declarations: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
     """True where anything is known in the world frame, or was measured in it."""
     if any(rows.kind.tracked for rows in blocks):
         return True
@@ -384,6 +388,6 @@ def _in_world(known: Known, blocks: Sequence[Rows], things: dict[str, Things]) -
     for name in size.keys() & things.keys():
         unknown = (things[name].free & ~np.isfinite(things[name].std))[:, : size[name]].any(axis=1)
         for label in np.array(things[name].names)[~unknown].tolist():
-            if known.carrier(name, label) == WORLD and (name != "board" or label in known.boards):
+            if declarations.carrier(name, label) == WORLD and (name != "board" or label in declarations.boards):
                 return True
     return False

@@ -37,10 +37,10 @@ LARGEST_INTEGER = 2**63
 """Whole numbers beyond are no row, no seed and no length; Python does not even print one of 5,000 digits."""
 
 MOST_DIGITS = 70
-"""Of a whole number: 64 binary ones, their mark and a sign."""
+"""Characters of a whole number at the most: 64 binary digits, their mark and a sign."""
 
 LARGEST_NUMBER = 1e15
-"""Of any other number, a time in microseconds for instance: its square and its products are numbers, too."""
+"""Largest number with a fraction, a time in microseconds for instance: its square and its products are numbers, too."""
 
 LARGEST = 1e9
 """[m], [rad], [px]: no place, angle or image is larger."""
@@ -108,10 +108,10 @@ class Section(BaseModel):
     @classmethod
     def _refuse_unknown_keys(cls, keys: Any) -> Any:
         if isinstance(keys, dict):
-            known = [field.alias or name for name, field in cls.model_fields.items()]
+            names = [field.alias or name for name, field in cls.model_fields.items()]
             for key in keys:
-                if key not in known:
-                    facts = {"key": key, "hint": nearest(str(key), known)}
+                if key not in names:
+                    facts = {"key": key, "hint": nearest(str(key), names)}
                     raise PydanticCustomError("unknown_key", "unknown key{hint}", facts)
         return keys
 
@@ -121,24 +121,24 @@ class Limits(Section):
 
     urdf_mb: float = Field(default=URDF.megabytes, gt=0, le=1e6)
     table_mb: float = Field(default=TABLE.megabytes, gt=0, le=1e6)
-    """Of a table as a file, and of its cells in memory, eight bytes each."""
+    """Megabytes of a table as a file, and of its cells in memory, eight bytes each."""
     image_mb: float = Field(default=IMAGE.megabytes, gt=0, le=1e6)
     image_megapixels: float = Field(default=100.0, gt=0, le=1e6)
     """No camera that measures has more: 100."""
 
     @property
     def urdf(self) -> Limit:
-        """Of a URDF."""
+        """Limit of a URDF."""
         return Limit(self.urdf_mb, URDF.key)
 
     @property
     def table(self) -> Limit:
-        """Of a table."""
+        """Limit of a table."""
         return Limit(self.table_mb, TABLE.key)
 
     @property
     def image(self) -> Limit:
-        """Of an image as a file."""
+        """Limit of an image as a file."""
         return Limit(self.image_mb, IMAGE.key)
 
 
@@ -215,7 +215,7 @@ def parse_settings(text: str, path: Path, model: type[AnySettings]) -> AnySettin
 
 
 def validated(keys: dict[str, Any], lines: dict[Location, int], path: Path, model: type[AnySection]) -> AnySection:
-    """Check what :func:`parse_yaml` gives: keys, and the line of each.
+    """Check the keys and lines of :func:`parse_yaml`.
 
     Raises:
         CampaignError: naming the file, the line, the key and the remedy.
@@ -273,7 +273,7 @@ def parse_yaml(text: str, path: Path) -> tuple[dict[str, Any], dict[Location, in
         raise CampaignError(f"{path}: is not valid YAML: {problem}; put what is no date in quotes") from None
 
 
-# What an event adds to the depth.
+# Change of the depth by each kind of event.
 DEEPER = {yaml.MappingStartEvent: 1, yaml.SequenceStartEvent: 1, yaml.MappingEndEvent: -1, yaml.SequenceEndEvent: -1}
 
 
@@ -311,7 +311,7 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             yield (*location, number), item.start_mark.line + 1
             yield from _lines(item, (*location, number), path)
     elif isinstance(node, yaml.MappingNode):
-        seen: set[Hashable] = set()
+        keys: set[Hashable] = set()
         for key, value in node.value:
             line = key.start_mark.line + 1
             where = f"{path}, line {line}"
@@ -322,9 +322,9 @@ def _lines(node: yaml.Node, location: Location, path: Path) -> Iterator[tuple[Lo
             if key.tag != TEXT:
                 kind, name = key.tag.rpartition(":")[2], _dotted((*location, key.value))
                 raise CampaignError(f"{where}: {name}: YAML reads this key as a {kind}; put it in quotes")
-            if key.value in seen:
+            if key.value in keys:
                 raise CampaignError(f"{where}: {_dotted((*location, key.value))}: this key is there twice; delete one")
-            seen.add(key.value)
+            keys.add(key.value)
             yield (*location, key.value), line
             yield from _lines(value, (*location, key.value), path)
 
@@ -363,10 +363,10 @@ def _complaint(error: ErrorDetails, path: Path, lines: dict[Location, int]) -> s
         wrong += f", not {_shown(value)}"
         if error["type"] == "literal_error":
             wrong += nearest(str(value), re.findall(r"'([^']*)'", facts["expected"]))
-    known = location
-    while known and known not in lines:
-        known = known[:-1]
-    where = f"{path}, line {lines[known]}" if known else f"{path}"
+    nearest_location = location
+    while nearest_location and nearest_location not in lines:
+        nearest_location = nearest_location[:-1]
+    where = f"{path}, line {lines[nearest_location]}" if nearest_location else f"{path}"
     return f"{where}: {_dotted(location)}: {wrong}" if location else f"{where}: {wrong}"
 
 

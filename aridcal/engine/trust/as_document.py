@@ -14,43 +14,41 @@ MOST = 20
 """Rows of which the influence is written."""
 
 
-def document(looked: SecondLook, train: Dataset) -> dict[str, Any]:
-    """What a second look found, under the keys of ``result.json``.
+def document(look: SecondLook, train: Dataset) -> dict[str, Any]:
+    """A second look under its keys in ``result.json``.
 
     Args:
-        looked: At a calibration.
-        train: The rows that it was fitted to.
+        look: The second look at a calibration.
+        train: The rows that the calibration was fitted to.
     """
-    found: dict[str, Any] = {
-        "halves": {name: _halves(each) for name, each in looked.halves.items() if each is not None}
-    }
-    if looked.folds is not None:
-        found["folds"] = _folds(looked.folds, train)
-    if looked.influence is not None:
-        found["influence"] = _influence(looked.influence, train)
-    if looked.known is not None:
-        found["known"] = _known(looked.known)
-    return found
+    parts: dict[str, Any] = {"halves": {name: _halves(each) for name, each in look.halves.items() if each is not None}}
+    if look.folds is not None:
+        parts["folds"] = _folds(look.folds, train)
+    if look.influence is not None:
+        parts["influence"] = _influence(look.influence, train)
+    if look.known is not None:
+        parts["known"] = _known(look.known)
+    return parts
 
 
-def _halves(found: Halves) -> dict[str, Any]:
-    """Halves of one stage."""
+def _halves(halves: Halves) -> dict[str, Any]:
+    """The halves of one stage, [mm]."""
     return {
-        "p_value": found.p_value,
-        "agree": found.agree,
-        "divided_by": found.of,
-        "into": found.how,
-        "squares": found.squares,
-        "degrees_of_freedom": list(found.freedom),
-        "divisions": found.divisions,
-        "rows": found.rows,
-        "position_mm": {"measured": 1e3 * found.measured, "expected": 1e3 * found.expected},
+        "p_value": halves.p_value,
+        "agree": halves.agree,
+        "divided_by": halves.of,
+        "into": halves.how,
+        "squares": halves.squares,
+        "degrees_of_freedom": list(halves.freedom),
+        "divisions": halves.divisions,
+        "rows": halves.rows,
+        "position_mm": {"measured": 1e3 * halves.measured, "expected": 1e3 * halves.expected},
     }
 
 
-def _folds(found: Folds, train: Dataset) -> dict[str, Any]:
-    """Errors of rows left out, by channel."""
-    by_channel = zip(train.channels, found.mean, found.spread, found.fitted, found.error.T, strict=True)
+def _folds(folds: Folds, train: Dataset) -> dict[str, Any]:
+    """Errors of the folds, by channel, in the unit that is shown."""
+    by_channel = zip(train.channels, folds.mean, folds.spread, folds.fitted, folds.error.T, strict=True)
     return {
         c.key: {
             "rms": c.scale * float(mean),
@@ -62,26 +60,26 @@ def _folds(found: Folds, train: Dataset) -> dict[str, Any]:
     }
 
 
-def _influence(found: Influence, train: Dataset) -> dict[str, Any]:
-    """The rows that move the target most."""
+def _influence(influence: Influence, train: Dataset) -> dict[str, Any]:
+    """The rows that move the target most, [mm]."""
     rows = [
         {
             "file": train.origin.files[train.origin.file[k]].name,
             "row": int(train.origin.line[k]),
-            "shift_mm": 1e3 * float(found.shift[i]),
-            "leverage": float(found.leverage[i]),
-            "cook": float(found.cook[i]),
+            "shift_mm": 1e3 * float(influence.shift[i]),
+            "leverage": float(influence.leverage[i]),
+            "cook": float(influence.cook[i]),
         }
-        for i, k in enumerate(found.rows[:MOST].tolist())
+        for i, k in enumerate(influence.rows[:MOST].tolist())
     ]
-    return {"target_std_mm": 1e3 * found.sigma, "deciding": len(found.deciding), "rows": rows}
+    return {"target_std_mm": 1e3 * influence.sigma, "deciding": len(influence.deciding), "rows": rows}
 
 
-def _known(found: Known) -> dict[str, Any]:
-    """Combinations of constants, and minimal sets."""
+def _known(known: Known) -> dict[str, Any]:
+    """Combinations of constants, and the minimal set of them."""
     return {
         "combinations": [
-            {"parts": dict(c.parts), "unit": c.unit or "m and rad", "std": c.std} for c in found.combinations
+            {"parts": dict(c.parts), "unit": c.unit or "m and rad", "std": c.std} for c in known.combinations
         ],
         "pairs": [
             {
@@ -90,9 +88,9 @@ def _known(found: Known) -> dict[str, Any]:
                 "std_of_sum": p.of_sum,
                 "std_of_difference": p.of_difference,
             }
-            for p in found.pairs
+            for p in known.pairs
         ],
-        "minimal_set": list(found.names),
-        "could_stay_nominal": list(found.spare),
-        "target_mm": {"moves": 1e3 * found.shift, "std": 1e3 * found.sigma},
+        "minimal_set": list(known.names),
+        "could_stay_nominal": list(known.spare),
+        "target_mm": {"moves": 1e3 * known.shift, "std": 1e3 * known.sigma},
     }

@@ -58,7 +58,8 @@ class Certainty:
         region: Over the region that the campaign names, or the whole range seen.
         title: What that region is, in words.
         tool: The point on the target that the region is of, in the target's axes, [m].
-        kept: What it keeps within: of the position, and of the rotation where that was measured; none where no row tells.
+        kept: What the region keeps within: of the position, and of the rotation where that was measured; none where no row
+            tells.
         untold: Combinations of constants that no reading tells, and that move the target.
     """
 
@@ -78,11 +79,11 @@ class Certainty:
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the target is to be known for.
+    """Requirements on the certainty of the target.
 
     Attributes:
         tool: A point that moves with the target, in its axes, [m].
-        tolerance: How far it may be off in 95 % of the region, [m], and turned, [rad]; None where nobody says.
+        tolerance: Error of the place [m] and of the turn [rad] that 95 % of the region may have; None where not stated.
         title: The region in words.
     """
 
@@ -104,97 +105,99 @@ def certainty(
     """Say how well the target is known.
 
     Args:
-        wanted: Of which point, and how well.
+        wanted: The point on the target, its region in words, and the tolerance.
         fit: The final model.
         rows: All N rows.
-        candidates: Constants that were asked for.
+        candidates: All constants that the campaign asks for.
         where: Readings of the region, shape (R, columns), [rad] or [m]; None where the campaign names none.
         outlier: Flagged rows, shape (N,) bool.
-        residual: What it leaves of all rows, shape (N, m).
+        residual: Measured minus predicted of all rows, shape (N, m).
         repeats: Scatter of rows that repeat a configuration, where there are any.
     """
     train = rows.fitted
-    known = knowledge(fit, train, candidates)
+    known_model = knowledge(fit, train, candidates)
     tool = wanted.tool
     everywhere = spread_out(*ends(train, fit.model.robot.limits))
-    anywhere = known.over(train, everywhere, _like(train, everywhere))
+    anywhere = known_model.over(train, everywhere, _like(train, everywhere))
     title = wanted.title
     if where is None:
-        region, title = _seen(known, train, tool)
+        region, title = _measured_region(known_model, train, tool)
     else:
-        region = known.over(train, where, _like(train, where), tool)
-    found, noise = [], instrument_noise(fit, rows, repeats)
-    moves = known.columns(region.rows, np.asarray(tool, dtype=float))[1:]
+        region = known_model.over(train, where, _like(train, where), tool)
+    answers, noise = [], instrument_noise(fit, rows, repeats)
+    moves = known_model.columns(region.rows, np.asarray(tool, dtype=float))[1:]
     judging = rows.test if (rows.test & ~outlier).any() else rows.train & ~outlier
     for turn, of in enumerate(("position", "rotation")):
         tolerance = wanted.tolerance[turn]
-        seen = rows.sees_turns or not turn
-        left = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if seen else None
-        answer = kept(known, region, moves, left, tolerance, bool(turn))
+        measured = rows.sees_turns or not turn
+        excess = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if measured else None
+        answer = kept(known_model, region, moves, excess, tolerance, bool(turn))
         if answer is not None:
-            found.append(answer)
+            answers.append(answer)
         elif tolerance is not None:
-            found.append(unjudged(of, tolerance))
-    slices = _slices(known, train)
+            answers.append(unjudged(of, tolerance))
+    slices = _slices(known_model, train)
     if any(tool):
         title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"
-    return Certainty(anywhere, slices, region, title, tool, tuple(found), known.untold(anywhere.rows, train.sees_turns))
+    return Certainty(
+        anywhere, slices, region, title, tool, tuple(answers), known_model.untold(anywhere.rows, train.sees_turns)
+    )
 
 
 def _like(train: Dataset, readings: np.ndarray) -> np.ndarray:
-    """Rows that configurations are like in all but their joints, drawn from those that were fitted."""
+    """Numbers of fitted rows, drawn at random, whose conditions (all but the joints) stand for configurations, shape (M,)."""
     return np.random.default_rng(0).integers(0, len(train), len(readings))
 
 
-def _seen(known: Knowledge, train: Dataset, tool: Sequence[float]) -> tuple[Workspace, str]:
-    """The region where none is named, and its title: what was measured of the box of all ranges seen.
+def _measured_region(known_model: Knowledge, train: Dataset, tool: Sequence[float]) -> tuple[Workspace, str]:
+    """The region where the campaign names none, and its title: the measured part of the box of all joint ranges.
 
-    Where that is next to nothing, as with a ball in three sockets, the configurations that were measured are all there is.
+    Where that part is next to nothing, as with a ball in three sockets, the region is the measured configurations themselves.
     """
     readings = spread_out(train.readings.min(axis=0), train.readings.max(axis=0))
-    box = known.over(train, readings, _like(train, readings), tool)
+    box = known_model.over(train, readings, _like(train, readings), tool)
     if box.measured.sum() >= LEAST:
         return box.select(box.measured), "the range that was measured"
     rows = np.unique(np.linspace(0, len(train) - 1, LEAST).round().astype(int))
-    return known.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
+    return known_model.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
 
 
-def _slices(known: Knowledge, train: Dataset) -> tuple[Slice, ...]:
-    """Slices of all that the joints reach."""
-    readings = spread_out(*ends(train, known.fit.model.robot.limits), CLOUD)
+def _slices(known_model: Knowledge, train: Dataset) -> tuple[Slice, ...]:
+    """Slices of the whole range of the joints."""
+    readings = spread_out(*ends(train, known_model.fit.model.robot.limits), CLOUD)
     like = _like(train, readings)
-    cloud = known.places(train, readings, like)
-    middle = np.median(known.places(train, train.readings, np.arange(len(train))), axis=0)
+    cloud = known_model.places(train, readings, like)
+    middle = np.median(known_model.places(train, train.readings, np.arange(len(train))), axis=0)
     thick = THICK * float(np.ptp(cloud, axis=0).max())
-    found = []
+    slices = []
     for axes in PLANES:
         across = 3 - sum(axes)
         near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:IN_SLICE]
         if len(near):
-            found.append(Slice(axes, float(middle[across]), known.over(train, readings[near], like[near])))
-    return tuple(found)
+            slices.append(Slice(axes, float(middle[across]), known_model.over(train, readings[near], like[near])))
+    return tuple(slices)
 
 
-def as_document(known: Certainty) -> dict[str, Any]:
-    """How well the target is known over the joints' whole range and over the region, and what that keeps within."""
-    found: dict[str, Any] = {
-        "whole_range": _spread(known.anywhere),
-        "region": {"of": known.title, **_spread(known.region)},
+def as_document(certain: Certainty) -> dict[str, Any]:
+    """Certainty as plain data: over the joints' whole range, over the region, and what the region keeps within."""
+    document: dict[str, Any] = {
+        "whole_range": _spread(certain.anywhere),
+        "region": {"of": certain.title, **_spread(certain.region)},
     }
-    for part in known.kept:
+    for part in certain.kept:
         unit = "mrad" if part.of == "rotation" else "mm"
-        found["region"][part.of] = {
+        document["region"][part.of] = {
             f"bound_{unit}": 1e3 * part.bound,
             f"calibration_rms_{unit}": 1e3 * part.calibration,
             f"beyond_rms_{unit}": 1e3 * part.beyond,
             **({} if part.tolerance is None else _judged(part, unit)),
             "remarks": list(part.remarks),
         }
-    return found
+    return document
 
 
 def _judged(part: Kept, unit: str) -> dict[str, Any]:
-    """Whether a tolerance is kept."""
+    """The answer to a tolerance, and the rows that judge it."""
     return {
         f"tolerance_{unit}": 1e3 * (part.tolerance or 0.0),
         "within": part.within,
@@ -213,15 +216,15 @@ def _judged(part: Kept, unit: str) -> dict[str, Any]:
 def _spread(part: Workspace) -> dict[str, Any]:
     """Statistics of some configurations where the target is known, 1-sigma in the worst direction."""
     sigma = np.where(part.told, part.sigma, np.nan)
-    told = 1e3 * sigma[part.told]
-    worst = int(np.nanargmax(sigma)) if len(told) else None
+    sigma_mm = 1e3 * sigma[part.told]
+    worst = int(np.nanargmax(sigma)) if len(sigma_mm) else None
     return {
         "configurations": len(part),
         "measured": float(part.measured.mean()),
         "told": float(part.told.mean()),
         "sigma_mm": {
-            "median": float(np.median(told)) if len(told) else None,
-            "p95": float(np.percentile(told, 95)) if len(told) else None,
+            "median": float(np.median(sigma_mm)) if len(sigma_mm) else None,
+            "p95": float(np.percentile(sigma_mm, 95)) if len(sigma_mm) else None,
             "worst": None if worst is None else 1e3 * float(sigma[worst]),
         },
         "worst_at": None

@@ -32,16 +32,16 @@ class Columns:
     """N rows of m numbers about the solution of a fit, divided by their noise; rows without weight are left out.
 
     Attributes:
-        rows: Which of the fitted rows these are, shape (N,).
-        channels: Of the numbers.
+        rows: Numbers of these rows among the fitted ones, shape (N,).
+        channels: Channels of the m numbers.
         r: Residuals in sigmas, shape (N, m); 0 where a row does not measure a channel.
-        J: What each coefficient takes off them, shape (N, m, K).
-        B: What the unknowns of the row's group take off them, shape (N, m, U); U is 0 without things.
+        J: What each coefficient takes off the residuals, shape (N, m, K).
+        B: What the unknowns of the row's group take off the residuals, shape (N, m, U); U is 0 without things.
         there: Numbers that were measured, shape (N, m) bool.
-        group: Of each row, shape (N,); -1 for none.
+        group: Group of each row, shape (N,); -1 for none.
         groups: All groups; None where nothing of things is unknown.
-        known: What is known of them beforehand.
-        share: Of a measurement that each row counts for.
+        known: What is known of the unknowns beforehand.
+        share: Part of an independent measurement that each row counts for.
         target: How the predicted target moves with each coefficient, shape (N, 3, K), [m] per unit.
     """
 
@@ -63,11 +63,11 @@ class Columns:
     def solved(self, some: np.ndarray | slice = slice(None)) -> Eliminated:
         """The things solved from some of the rows alone."""
         count, channels = self.J.shape[2], len(self.channels)
-        many, width = (0, 0) if self.groups is None else self.groups.unknown.shape
+        count_of_groups, width = (0, 0) if self.groups is None else self.groups.unknown.shape
         sums = Sums(
-            np.zeros((channels, many, width, width)),
-            np.zeros((channels, many, width, count)),
-            np.zeros((channels, many, width)),
+            np.zeros((channels, count_of_groups, width, width)),
+            np.zeros((channels, count_of_groups, width, count)),
+            np.zeros((channels, count_of_groups, width)),
         )
         if self.groups is None:
             empty = np.zeros((0, 0, 0))
@@ -78,43 +78,47 @@ class Columns:
     def equations(self, things: Eliminated, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """H (K, K) and g (K,) of some of the rows, their things solved for as :meth:`solved` has it for the same rows."""
         J, group = self.J[some], self.group[some]
-        left, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
-        own = J
+        residuals, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
+        without_things = J
         if self.groups is not None:
-            own = J.copy()
+            without_things = J.copy()
             of_things = group >= 0
-            own[of_things] -= self.B[some][of_things] @ things.X[group[of_things]]
+            without_things[of_things] -= self.B[some][of_things] @ things.X[group[of_things]]
         flat = J.reshape(-1, J.shape[2])
-        return flat.T @ own.reshape(flat.shape), flat.T @ left.ravel()
+        return flat.T @ without_things.reshape(flat.shape), flat.T @ residuals.ravel()
 
     def less(
         self, values: np.ndarray, known: np.ndarray, things: Eliminated, some: np.ndarray | slice = slice(None)
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of some rows, (n, m, d), and of what is known beforehand, (T, d), less what the things take up of them.
+        """Right-hand sides less what the things take up of them.
 
-        They are residuals in sigmas, or other right-hand sides of the same rows.
+        Args:
+            values: Residuals in sigmas of n rows, or other right-hand sides of these, shape (n, m, d).
+            known: The same of what is known beforehand, shape (T, d).
+            things: The things, solved from the same rows.
+            some: The n rows.
         """
         if self.groups is None:
             return values, known
         group, B = self.group[some], self.B[some]
-        own = group >= 0
+        grouped = group >= 0
         pull = np.zeros((len(things.inverse), B.shape[2], values.shape[2]))
-        np.add.at(pull, group[own], B[own].transpose(0, 2, 1) @ values[own])
+        np.add.at(pull, group[grouped], B[grouped].transpose(0, 2, 1) @ values[grouped])
         np.add.at(pull, self.known.group, self.known.by[:, :, None] * known[:, None, :])
         y = things.inverse @ pull
-        left = values.copy()
-        left[own] -= B[own] @ y[group[own]]
-        return left, known - np.einsum("tu,tud->td", self.known.by, y[self.known.group])
+        rest = values.copy()
+        rest[grouped] -= B[grouped] @ y[group[grouped]]
+        return rest, known - np.einsum("tu,tud->td", self.known.by, y[self.known.group])
 
 
-def _asked(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
-    """Numbers of the rows that are linearised, and what is asked of them: bases of rows that are not would take much memory."""
+def _linearised_rows(fit: Fit, data: Dataset, most: int, progress: Progress) -> tuple[np.ndarray, Problem]:
+    """Numbers of the rows that are linearised, and their problem: bases of all other rows would take much memory."""
     model = fit.model.with_coefficients(()) if data.direct else fit.model
-    every = problem(model, data, progress)  # where things are between, all rows tell of these
-    chosen = thin(every.rows, most, every.groups)
+    whole = problem(model, data, progress)  # where things are between, all rows tell of these
+    chosen = thin(whole.rows, most, whole.groups)
     chosen = chosen[fit.weight[chosen] > 0.0]
-    some = every if len(chosen) == len(every) else every.select(chosen)
-    return chosen, (problem(fit.model, some.data, progress) if data.direct else some).agreeing(fit.theta)
+    part = whole if len(chosen) == len(whole) else whole.select(chosen)
+    return chosen, (problem(fit.model, part.data, progress) if data.direct else part).agreeing(fit.theta)
 
 
 def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: Progress = SILENT) -> Columns:
@@ -128,36 +132,36 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         progress: Told how far the pass over them is.
     """
     wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
-    chosen, asked = _asked(fit, data, min(most, NUMBERS // wide), progress)
-    per = 1.0 / spread(sigma, asked.channels)
+    chosen, fit_problem = _linearised_rows(fit, data, min(most, NUMBERS // wide), progress)
+    per = 1.0 / spread(sigma, fit_problem.channels)
     root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
     shape, count = root.shape, len(fit.theta)
     # Row by row in memory, for rows are what is picked out of them.
     r, J, B = np.empty(shape), np.empty((*shape, count)), np.empty((*shape, 0))
     target = np.empty((len(chosen), 3, count))
-    if asked.groups is not None:
-        B = np.empty((*shape, asked.groups.unknown.shape[1]))
-    for block in asked.blocks():
-        piece = asked.pieces(fit.theta, block)
+    if fit_problem.groups is not None:
+        B = np.empty((*shape, fit_problem.groups.unknown.shape[1]))
+    for block in fit_problem.blocks():
+        piece = fit_problem.pieces(fit.theta, block)
         r[block] = np.nan_to_num(piece.r) * root[block]
         for into, columns in ((J, piece.J), (B, piece.B)):
             np.multiply(columns, root[block, :, None], out=into[block])
-        if asked.measured.direct and data.relative is None:
+        if fit_problem.measured.direct and data.relative is None:
             target[block] = piece.J[:, :3]  # the target's own position is what rows measure first
         else:
-            target[block] = fit.model.jacobian(fit.theta, asked.rows[block])[2][:, :3]
-    there = ~asked.measured.absent
+            target[block] = fit.model.jacobian(fit.theta, fit_problem.rows[block])[2][:, :3]
+    measured = ~fit_problem.measured.absent
     nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
-        channels=asked.channels,
+        channels=fit_problem.channels,
         r=r,
         J=J,
         B=B,
-        there=there,
-        group=asked.group_of(slice(None)),
-        groups=asked.groups,
-        known=asked.beforehand() or nothing,
+        there=measured,
+        group=fit_problem.group_of(slice(None)),
+        groups=fit_problem.groups,
+        known=fit_problem.beforehand() or nothing,
         share=data.repeats.share,
         target=target,
     )

@@ -76,14 +76,14 @@ class Pair:
 
 @dataclass(frozen=True)
 class Known:
-    """What rows tell of the constants.
+    """How well rows tell the constants.
 
     Attributes:
-        names: Identifiable constants, K' of them: a set of which none can be left out but by knowing it.
-        combinations: Of them, the best known first.
-        pairs: Those worth a sentence, the most unequal first.
-        spare: Constants that could stay nominal together: these rows cannot tell them from it.
-        needed: The others, without which the rows are predicted worse.
+        names: Identifiable constants, K' of them: none can be left out unless its value is known.
+        combinations: Combinations of these constants, the best known first.
+        pairs: Pairs worth a sentence, the most unequal first.
+        spare: Constants that could stay nominal together: these rows cannot tell them from nominal.
+        needed: The other constants, without which the rows are predicted worse.
         shift: RMS by which the target moves if the spare ones stay nominal and the rest follow, [m].
         sigma: RMS 1-sigma of the target before, all three axes, [m].
     """
@@ -98,7 +98,7 @@ class Known:
 
 
 def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None:
-    """Ask what rows tell of the arm's constants; None of a fit without any.
+    """Ask what rows tell of the arm's constants; None for a fit without such constants.
 
     Args:
         fit: A stage without effects.
@@ -106,13 +106,13 @@ def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None
         progress: Told how far the pass over them is.
     """
     of_arm = [c.basis.constant and c.where in _places(fit) for c in fit.model.coefficients]
-    own = np.flatnonzero(of_arm)
-    if len(own) == 0:
+    arm_constants = np.flatnonzero(of_arm)
+    if len(arm_constants) == 0:
         return None
-    names = [fit.model.names[k] for k in own]
-    units = ["rad" if fit.model.coefficients[k].component in ANGULAR else "m" for k in own]
-    covariance = fit.covariance[np.ix_(own, own)]
-    spare, moved = _spare(fit, own)
+    names = [fit.model.names[k] for k in arm_constants]
+    units = ["rad" if fit.model.coefficients[k].component in ANGULAR else "m" for k in arm_constants]
+    covariance = fit.covariance[np.ix_(arm_constants, arm_constants)]
+    spare, moved = _spare(fit, arm_constants)
     rows = columns_of(fit, train, fit.sigma, ROWS, progress)
     J = rows.target.reshape(-1, len(fit.theta))
     variance = float(np.sum((J @ fit.covariance) * J)) / len(rows)
@@ -121,14 +121,14 @@ def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None
         combinations=_combinations(names, units, covariance),
         pairs=_pairs(names, units, covariance),
         spare=tuple(fit.model.names[k] for k in spare),
-        needed=tuple(fit.model.names[k] for k in own if k not in spare),
+        needed=tuple(fit.model.names[k] for k in arm_constants if k not in spare),
         shift=float(np.sqrt(np.sum((J @ moved) ** 2) / len(rows))),
         sigma=float(np.sqrt(max(variance, 0.0))),
     )
 
 
 def _places(fit: Fit) -> set[str]:
-    """Where the constants of an arm act: its joints and the tip's fixed joint."""
+    """Names of the places where an arm's constants act: its joints and the tip's fixed joint."""
     robot = fit.model.robot
     return {*robot.names, *([robot.tip_joint] if robot.tip_joint else [])}
 
@@ -136,49 +136,49 @@ def _places(fit: Fit) -> set[str]:
 def _combinations(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[Combination, ...]:
     """Eigenvectors of a covariance (K', K') in words, the smallest variance first."""
     values, vectors = np.linalg.eigh(covariance)
-    found = []
+    combinations = []
     for value, vector in zip(values.tolist(), vectors.T, strict=True):
         largest_first = np.argsort(-np.abs(vector), kind="stable")
         vector = vector * np.sign(vector[largest_first[0]])
         parts = [k for k in largest_first.tolist() if abs(vector[k]) >= CARRIES * vector[largest_first[0]]][:MOST_PARTS]
         shared = {units[k] for k in parts}
         unit = shared.pop() if len(shared) == 1 else ""
-        found.append(
+        combinations.append(
             Combination(tuple((names[k], float(vector[k])) for k in parts), unit, float(np.sqrt(max(value, 0.0))))
         )
-    return tuple(found)
+    return tuple(combinations)
 
 
 def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[Pair, ...]:
     """Pairs of one unit whose sum and difference are known unequally well."""
-    found = []
+    pairs = []
     for i in range(len(names)):
         for j in range(i + 1, len(names)):
             if units[i] != units[j]:
                 continue
-            both, cross = covariance[i, i] + covariance[j, j], 2.0 * covariance[i, j]
-            if both - abs(cross) <= 0.0:
+            squares, cross = covariance[i, i] + covariance[j, j], 2.0 * covariance[i, j]
+            if squares - abs(cross) <= 0.0:
                 continue  # one of the two is known to rounding
-            pair = Pair(names[i], names[j], units[i], float(np.sqrt(both + cross)), float(np.sqrt(both - cross)))
+            pair = Pair(names[i], names[j], units[i], float(np.sqrt(squares + cross)), float(np.sqrt(squares - cross)))
             if pair.ratio >= TOGETHER:
-                found.append(pair)
-    return tuple(sorted(found, key=lambda pair: -pair.ratio))
+                pairs.append(pair)
+    return tuple(sorted(pairs, key=lambda pair: -pair.ratio))
 
 
-def _spare(fit: Fit, own: np.ndarray) -> tuple[list[int], np.ndarray]:
-    """Constants that may stay nominal together, found one by one, and how all coefficients then change, shape (K,).
+def _spare(fit: Fit, arm_constants: np.ndarray) -> tuple[list[int], np.ndarray]:
+    """Constants that may stay nominal together, the cheapest first, and how all coefficients then change, shape (K,).
 
-    Taking out k of those that are left costs theta_k^2 / Sigma_kk squares, in sigmas, all others following.
+    Fixing constant k at nominal costs theta_k^2 / Sigma_kk squares, in sigmas, when all others follow.
     """
     theta, covariance = fit.theta.copy(), fit.covariance.copy()
-    left, spare = own.tolist(), []
-    while left:
-        variance = np.diag(covariance)[left]
-        cost = np.where(variance > 0.0, theta[left] ** 2 / np.where(variance > 0.0, variance, 1.0), np.inf)
+    needed, spare = arm_constants.tolist(), []
+    while needed:
+        variance = np.diag(covariance)[needed]
+        cost = np.where(variance > 0.0, theta[needed] ** 2 / np.where(variance > 0.0, variance, 1.0), np.inf)
         least = int(np.argmin(cost))
         if cost[least] >= SPARED:
             break
-        k = left.pop(least)
+        k = needed.pop(least)
         spare.append(k)
         share = covariance[:, k] / covariance[k, k]
         theta -= share * theta[k]

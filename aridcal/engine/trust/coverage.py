@@ -1,4 +1,4 @@
-"""What the fitted rows were like, and whether others are like them: ranges, holes in these, and how sure predictions were."""
+"""Coverage of the fitted rows, and whether other rows lie inside: ranges, holes in these, and how sure predictions were."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ CHANNELS = (slice(0, 3), slice(3, 6))
 
 @dataclass(frozen=True)
 class Seen:
-    """What a calibration has seen.
+    """Coverage of the fitted rows of a calibration.
 
     Attributes:
-        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
-        holes: Where nothing was seen inside those ranges.
+        ranges: Lowest and highest value of every joint column and covariate that the model depends on.
+        holes: Holes inside those ranges.
         largest: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
             three axes together.
     """
@@ -65,26 +65,26 @@ class Seen:
     largest: tuple[float, float]
 
     def beyond(self, columns: Mapping[str, np.ndarray], std: np.ndarray) -> np.ndarray:
-        """Rows that are not like those seen, shape (N,).
+        """Rows that are unlike the fitted ones, shape (N,) bool.
 
-        Outside the range of a joint or of a covariate, in a hole of what was measured of it, or where the prediction is several
+        They lie outside the range of a joint or of a covariate, in a hole of that range, or where the prediction is several
         times as uncertain as it was at any fitted row.
 
         Args:
             columns: Values of every quantity of ``ranges``, shape (N,) each.
             std: Of the predicted position [m] and of the rotation [rad], shape (N, 6).
         """
-        found = np.zeros(len(std), dtype=bool)
+        unlike = np.zeros(len(std), dtype=bool)
         for name, (low, high) in self.ranges.items():
             values = columns[name]
-            found |= (values < low) | (values > high) | inside(values, self.holes.get(name, ()))
+            unlike |= (values < low) | (values > high) | inside(values, self.holes.get(name, ()))
         for axes, largest in zip(CHANNELS, self.largest, strict=True):
-            found |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
-        return found
+            unlike |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
+        return unlike
 
 
 def holes(values: np.ndarray) -> tuple[Range, ...]:
-    """Where nothing was seen inside a range: steps between neighbouring values far wider than those around them.
+    """Holes inside a range: steps between neighbouring values far wider than the steps around them.
 
     The steps around are the measure, not a width in radians: it then fits any quantity, dense or sparse rows, and rows that
     thin out towards the ends.
@@ -111,26 +111,26 @@ def holes(values: np.ndarray) -> tuple[Range, ...]:
 
 
 def elsewhere(columns: Mapping[str, np.ndarray], recorded: Mapping[str, Range]) -> np.ndarray:
-    """Rows of which a recorded column, on which nothing depends, has left its range, shape (N,).
+    """Rows in which a recorded column, on which nothing depends, has left its range, shape (N,) bool.
 
     Args:
-        columns: Of the rows, shape (N,) each; what they lack marks nothing.
+        columns: Values of the rows, shape (N,) each; a column that they lack marks no row.
         recorded: Lowest and highest value seen.
     """
-    found = np.zeros(len(next(iter(columns.values()))), dtype=bool)
+    outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
     for name in (recorded.keys() & columns.keys()) - {CLOCK}:
         low, high = recorded[name]
         aside = ASIDE * (high - low)
-        found |= (columns[name] < low - aside) | (columns[name] > high + aside)
-    return found
+        outside |= (columns[name] < low - aside) | (columns[name] > high + aside)
+    return outside
 
 
-def beyond_heat(columns: Mapping[str, np.ndarray], seen: Mapping[str, Range]) -> np.ndarray:
-    """How far temperatures are outside of what was seen, shape (N,), [K]: of several the farthest; 0 where none is recorded."""
+def beyond_heat(columns: Mapping[str, np.ndarray], ranges: Mapping[str, Range]) -> np.ndarray:
+    """How far temperatures are outside their recorded ranges, shape (N,), [K]: the farthest of several, 0 without any."""
     away = np.zeros(len(next(iter(columns.values()))))
-    for name in seen.keys() & columns.keys():
+    for name in ranges.keys() & columns.keys():
         if name.startswith(HEAT):
-            low, high = seen[name]
+            low, high = ranges[name]
             away = np.fmax(away, np.fmax(low - columns[name], columns[name] - high))
     return away
 

@@ -47,9 +47,9 @@ class Folds:
     """Errors of rows that the calibration did not know.
 
     Attributes:
-        error: RMS of the rows' errors in each fold, by channel, shape (folds, C), in the channels' units; NaN where a fold has
-            none.
-        fitted: The same of all rows when they are fitted, shape (C,).
+        error: RMS of the rows' errors in each fold, by channel, shape (folds, C), in the channels' units; NaN where no row of a
+            fold measures the channel.
+        fitted: RMS of the errors of all rows, fitted together, shape (C,).
     """
 
     error: np.ndarray
@@ -68,11 +68,11 @@ class Folds:
 
 @dataclass(frozen=True)
 class Influence:
-    """What leaving out each row does.
+    """Change of a calibration without each of its rows.
 
     Attributes:
-        rows: Which of the fitted rows these are, shape (n,); those with the largest shift first.
-        shift: RMS over all rows by which the predicted target moves, [m], shape (n,).
+        rows: Numbers among the fitted rows, shape (n,), the largest shift first.
+        shift: Shift of the predicted target, RMS over all rows, [m], shape (n,).
         sigma: RMS 1-sigma of the predicted target over all rows, all three axes, [m].
         leverage: Share of each row in its own prediction: trace of L over the numbers that it measures, 0 to 1, shape (n,).
         cook: Cook's distance, shape (n,).
@@ -104,42 +104,45 @@ def rows_of(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Columns:
 def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
     """Predict each fold of configurations from the others; None where there are fewer configurations than folds.
 
-    Effects stay those that were found, and their coefficients are fitted to the other folds alone. Of things that only one fold's
-    rows refer to nothing is known without them: those rows are not counted.
+    The model keeps its effects, and their coefficients are fitted to the other folds alone. Of a thing that only the rows of one
+    fold refer to nothing is known without them: those rows are not counted.
 
     Args:
         fit: K coefficients.
         train: The rows that it was fitted to.
         rows: See :func:`rows_of`.
     """
-    own = train.select(rows.rows)
-    together = held_together(own)
+    data = train.select(rows.rows)
+    together = held_together(data)
     if len(fit.theta) == 0 or together.max(initial=0) + 1 < FOLDS:
         return None
     fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
     things = rows.solved()
-    every = rows.equations(things) if rows.groups is not None else None
+    sums_of_all = rows.equations(things) if rows.groups is not None else None
     whole = len(rows) / max(int((~fit.outliers).sum()), 1) * fit.information
-    left = rows.r.copy()
+    residuals = rows.r.copy()
     for k in range(FOLDS):
         out = fold == k
-        rest = rows.solved(~out)
-        if every is None:  # sums over rows: the others' are all less those of these
+        things_of_rest = rows.solved(~out)
+        if sums_of_all is None:  # sums over rows: the others' are all less those of these
             H_out, g_out = rows.equations(things, out)
         else:
-            H_out, g_out = (all_of - those for all_of, those in zip(every, rows.equations(rest, ~out), strict=True))
+            H_out, g_out = (
+                all_of - remaining
+                for all_of, remaining in zip(sums_of_all, rows.equations(things_of_rest, ~out), strict=True)
+            )
         step = solve(whole - H_out, -g_out, ridge=RIDGE)
-        left[out] -= rows.J[out] @ step
+        residuals[out] -= rows.J[out] @ step
         if rows.groups is not None:
             group = rows.group[out]
             of_things = group >= 0
-            y = rest.y - rest.X @ step
-            lost = of_things & (rest.rank < things.rank)[group]
-            taken = np.einsum("nmu,nu->nm", rows.B[out], y[group])
-            left[out] -= np.where(of_things[:, None], taken, 0.0)
-            left[out] = np.where(lost[:, None], np.nan, left[out])
-    errors = np.array([_rms(left[fold == k], rows, fit, own, fold == k) for k in range(FOLDS)])
-    return Folds(errors, _rms(rows.r, rows, fit, own, np.ones(len(rows), dtype=bool)))
+            y = things_of_rest.y - things_of_rest.X @ step
+            undetermined = of_things & (things_of_rest.rank < things.rank)[group]
+            by_things = np.einsum("nmu,nu->nm", rows.B[out], y[group])
+            residuals[out] -= np.where(of_things[:, None], by_things, 0.0)
+            residuals[out] = np.where(undetermined[:, None], np.nan, residuals[out])
+    errors = np.array([_rms(residuals[fold == k], rows, fit, data, fold == k) for k in range(FOLDS)])
+    return Folds(errors, _rms(rows.r, rows, fit, data, np.ones(len(rows), dtype=bool)))
 
 
 def _rms(r: np.ndarray, rows: Columns, fit: Fit, data: Dataset, some: np.ndarray) -> np.ndarray:
@@ -153,7 +156,7 @@ def _rms(r: np.ndarray, rows: Columns, fit: Fit, data: Dataset, some: np.ndarray
 
 
 def influence(fit: Fit, rows: Columns) -> Influence | None:
-    """Leave out each row; None of a fit without coefficients.
+    """Leave out each row in turn; None for a fit without coefficients.
 
     Args:
         fit: K coefficients.
@@ -165,15 +168,15 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
     J, B = rows.J, rows.B
     L = np.zeros((n, m, m))
     if rows.groups is not None:
-        own = rows.group >= 0
-        group = rows.group[own]
+        grouped = rows.group >= 0
+        group = rows.group[grouped]
         J = J.copy()
-        J[own] -= B[own] @ things.X[group]
-        L[own] = B[own] @ things.inverse[group] @ B[own].transpose(0, 2, 1)
+        J[grouped] -= B[grouped] @ things.X[group]
+        L[grouped] = B[grouped] @ things.inverse[group] @ B[grouped].transpose(0, 2, 1)
     L += _shares(J, fit.covariance)
     # A row that alone tells of something predicts itself: without it there is nothing to compare.
-    rest = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
-    pull = -(J.transpose(0, 2, 1) @ rest)[:, :, 0]
+    weighted = np.linalg.pinv(np.eye(m) - L, hermitian=True, rcond=LONE) @ rows.r[:, :, None]
+    pull = -(J.transpose(0, 2, 1) @ weighted)[:, :, 0]
     step = pull @ fit.covariance
     at_target = rows.target.reshape(-1, K)
     T = at_target.T @ at_target / n
@@ -187,15 +190,15 @@ def influence(fit: Fit, rows: Columns) -> Influence | None:
 
 
 def _shares(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    r""":math:`J \Sigma J^T` of each row, shape (n, m, m), from columns (n, m, K): of those that act there, where they are few."""
+    r""":math:`J \Sigma J^T` of each row, shape (n, m, m), from columns J (n, m, K); of few that act in a row from these alone."""
     acts = J.any(axis=1)
     most = int(acts.sum(axis=1).max(initial=0))
     if 4 * most > len(covariance):  # to pick them out takes longer than the one product of all
         return carried(J, covariance)
     which = np.argsort(~acts, axis=1, kind="stable")[:, :most]
-    own = np.take_along_axis(J, which[:, None], axis=2)
-    found = np.empty((len(J), J.shape[1], J.shape[1]))
+    columns = np.take_along_axis(J, which[:, None], axis=2)
+    shares = np.empty((len(J), J.shape[1], J.shape[1]))
     for some in blocks(len(J)):
         between = covariance[which[some, :, None], which[some, None, :]]
-        found[some] = own[some] @ between @ own[some].transpose(0, 2, 1)
-    return found
+        shares[some] = columns[some] @ between @ columns[some].transpose(0, 2, 1)
+    return shares

@@ -1,4 +1,4 @@
-"""What was found, in figures: each effect's gain on held-out rows, its curve, and whether the rest is noise."""
+"""The search in figures: each effect's gain on held-out rows, its curve, and whether the rest is noise."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class Curve:
     """An effect's motion over its covariate, with the rows behind it.
 
     Attributes:
-        component: What moves.
+        component: Component of the motion.
         unit: ``m`` or ``rad``.
-        covariate: What it depends on.
+        covariate: The covariate.
         at: Values of the covariate, shape (G,).
         value: The identified motion there, shape (G,).
         std: Its standard deviation, shape (G,).
-        seen: Covariate of the rows, shape (N,).
+        seen: Values of the covariate at the rows, shape (N,).
         pulled: Motion that each row asks for by itself: its residual pulled back to this place, shape (N,).
     """
 
@@ -66,11 +66,11 @@ class NamedEffect:
     """An effect that was accepted or declared.
 
     Attributes:
-        effect: What, where, on what it depends; all its coefficients.
+        effect: The effect, with all its coefficients.
         declared: True if the campaign named it.
         p_value: After correction for the number of candidates, not below 1e-300.
         before: Residuals of the test rows of the final model without it, the rest refitted, shape (T, m).
-        after: The same with it.
+        after: Residuals of the test rows of the final model, shape (T, m).
         reached: Residuals of all rows of the model with this effect and those listed before it, refitted, shape (N, m).
         confounded_with: Effects that are confounded with it in these data.
         curves: Its motions over its covariates.
@@ -91,7 +91,7 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Rejected:
-    """A candidate that was looked at closely and not taken."""
+    """A candidate that was examined closely and not accepted."""
 
     effect: Effect
     p_value: float
@@ -101,12 +101,12 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What the search for undeclared effects did.
+    """Results of the search for undeclared effects.
 
     Attributes:
         effects: Accepted and declared effects, the largest gain first.
-        rejected: The best of those that were not taken.
-        barred: What could not be tested, and why.
+        rejected: The best candidates among those that were not accepted.
+        barred: Effects that could not be tested, and why.
         tested: Number of candidates.
         clues: Whether what remains is noise.
         over_time: Position error of the fitted rows with whole stretches of time held back in turn, RMS [m]; None where
@@ -124,24 +124,24 @@ class Diagnosis:
 
 
 def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
-    """Gather what the search did.
+    """Gather the results of the search.
 
     Args:
         diagnosed: The search and the final model.
         every: All N rows.
-        scored: Those held out, without outliers, shape (N,).
+        scored: Held-out rows without outliers, shape (N,) bool.
         clues: Whether what remains is noise.
     """
-    found = diagnosed.found
-    active = found.state.active
+    search = diagnosed.found
+    active = search.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
         groups.setdefault(a.effect.identity, []).append(k)
     return Diagnosis(
         effects=_named(diagnosed, every, scored, groups) if groups else (),
-        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in found.rejected),
+        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in search.rejected),
         barred=diagnosed.barred,
-        tested=found.tested,
+        tested=search.tested,
         clues=tuple(clues),
         over_time=_over_time(diagnosed),
         tied=diagnosed.tied,
@@ -151,35 +151,42 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
 def _named(
     diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, groups: Mapping[tuple[object, ...], Sequence[int]]
 ) -> tuple[NamedEffect, ...]:
-    """Each effect, the largest first: what all rows leave with it and without, from its numbers among those that are active."""
-    found, fit = diagnosed.found, diagnosed.fit
-    active = found.state.active
-    stated = {e.identity for e in diagnosed.declared}
-    asked = problem(fit.model, every)
-    final, places = asked.residual(fit.theta), fit.model.poses(fit.theta, asked.rows)[1]
+    """Each effect, the largest first, with the residuals of all rows with it and without it.
+
+    Args:
+        diagnosed: The search and the final model.
+        every: All N rows.
+        scored: Held-out rows without outliers, shape (N,) bool.
+        groups: Numbers of the active parts of each effect, by its identity.
+    """
+    search, fit = diagnosed.found, diagnosed.fit
+    active = search.state.active
+    declared = {e.identity for e in diagnosed.declared}
+    fit_problem = problem(fit.model, every)
+    final, places = fit_problem.residual(fit.theta), fit.model.poses(fit.theta, fit_problem.rows)[1]
     effects = []
     for who, members in groups.items():
-        own = [active[k] for k in members]
-        effect = merged([a.effect for a in own])
+        parts = [active[k] for k in members]
+        effect = merged([a.effect for a in parts])
         others = [a.effect for k, a in enumerate(active) if k not in members]
         twins = {e.identity: e for k in members for e in diagnosed.confounded[k] if e.identity not in groups}
-        p_value = min(a.score.p_value for a in own) * max(found.tested, 1)
+        p_value = min(a.score.p_value for a in parts) * max(search.tested, 1)
         named = NamedEffect(
             effect=effect,
-            declared=who in stated,
+            declared=who in declared,
             p_value=max(min(1.0, p_value), FLOOR_P),
-            before=_with_effects(asked, fit, others)[scored],
+            before=_with_effects(fit_problem, fit, others)[scored],
             after=final[scored],
             reached=final,
             confounded_with=tuple(twins.values()),
             curves=tuple(_curves(effect, diagnosed)),
-            adds=places - _without(asked, fit, effect),
+            adds=places - _without(fit_problem, fit, effect),
         )
         effects.append(named)
     effects.sort(key=lambda e: -_rms(e.before, every.channels))
     for k in range(len(effects) - 1):
         first = [e.effect for e in effects[: k + 1]]
-        effects[k] = replace(effects[k], reached=_with_effects(asked, fit, first))
+        effects[k] = replace(effects[k], reached=_with_effects(fit_problem, fit, first))
     return tuple(effects)
 
 
@@ -189,18 +196,18 @@ def _over_time(diagnosed: Diagnosed) -> float | None:
     of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
     if not of_time:
         return None
-    rest = [a for a in state.active if a is not of_time[-1]]
-    without_it = state.with_active(rest, fixed=True)
+    other_effects = [a for a in state.active if a is not of_time[-1]]
+    without_it = state.with_active(other_effects, fixed=True)
     squares = held_back(without_it, of_time[-1], linear.run[state.used] % PARTS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
-def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
+def refitted(fit: Fit, zeroed: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Coefficients of a model of which some are taken to be zero, and others fitted anew to the same rows.
 
     Args:
         fit: The whole model, solved.
-        gone: Coefficients that become zero, shape (K,).
+        zeroed: Coefficients that become zero, shape (K,).
         free: Coefficients that are fitted anew, shape (K,); the rest stay.
 
     Returns:
@@ -208,60 +215,62 @@ def refitted(fit: Fit, gone: np.ndarray, free: np.ndarray) -> np.ndarray:
         move by milliradians are exact to microradians, and the error that they leave is right to second order in that, since it
         is at its minimum.
     """
-    return conditional(fit.covariance, fit.theta, gone, ~(gone | free))
+    return conditional(fit.covariance, fit.theta, zeroed, ~(zeroed | free))
 
 
-def _with_effects(asked: Problem, fit: Fit, effects: Sequence[Effect]) -> np.ndarray:
-    """What the model leaves with some of its effects, all else refitted, shape (n, m)."""
+def _with_effects(fit_problem: Problem, fit: Fit, effects: Sequence[Effect]) -> np.ndarray:
+    """Residuals of a model with some of its effects only, all else refitted, shape (n, m)."""
     names = {c.name for e in effects for c in e.coefficients}
     keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
     theta = refitted(fit, ~keep, keep)
-    train = asked.data.train
+    train = fit_problem.data.train
     weight = np.zeros(len(train))
     weight[train] = fit.weight
-    again = things_again(asked, theta, weight)
-    # What held-out rows alone refer to is found from those, with this model as with the whole one.
-    states = {name: np.where(np.isnan(state), state, again.states[name]) for name, state in asked.states.items()}
-    return again.with_states(states).residual(theta)
+    with_things = things_again(fit_problem, theta, weight)
+    # Things that held-out rows alone refer to are solved from these rows, as for the whole model.
+    states = {
+        name: np.where(np.isnan(state), state, with_things.states[name]) for name, state in fit_problem.states.items()
+    }
+    return with_things.with_states(states).residual(theta)
 
 
-def _without(asked: Problem, fit: Fit, effect: Effect) -> np.ndarray:
-    """Predicted positions without an effect, what frames and constants take up of it taken up, shape (N, 3), [m]."""
+def _without(fit_problem: Problem, fit: Fit, effect: Effect) -> np.ndarray:
+    """Predicted positions without an effect, frames and constants refitted in its place, shape (N, 3), [m]."""
     names = {c.name for c in effect.coefficients}
-    gone = np.array([name in names for name in fit.model.names], dtype=bool)
+    zeroed = np.array([name in names for name in fit.model.names], dtype=bool)
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
-    return fit.model.poses(refitted(fit, gone, constant), asked.rows)[1]
+    return fit.model.poses(refitted(fit, zeroed, constant), fit_problem.rows)[1]
 
 
 def _rms(r: np.ndarray, channels: Channels) -> float:
     """RMS error in the first channel that the rows measure; 0 of no rows."""
     part = columns(channels)[0]
-    there = r[~np.isnan(r[:, part.start])][:, part]
-    return float(np.sqrt(np.mean(np.sum(there**2, axis=1)))) if len(there) else 0.0
+    measured = r[~np.isnan(r[:, part.start])][:, part]
+    return float(np.sqrt(np.mean(np.sum(measured**2, axis=1)))) if len(measured) else 0.0
 
 
 def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     """The effect's motions, each over the covariate it depends on first."""
     identified = set(diagnosed.fit.model.names)
-    made: list[Curve] = []
+    curves: list[Curve] = []
     if is_local(effect):  # no line through it says what it is
-        return made
+        return curves
     for component in effect.motion:
         of_covariates = [c for c in effect.coefficients if c.basis.of]
-        own = [c for c in of_covariates if c.component == component and c.name in identified]
-        for name in dict.fromkeys(c.basis.of[0] for c in own):
-            part = [c for c in own if c.basis.of[0] == name]
-            made.append(_curve(effect.where, component, name, part, diagnosed))
-    return made
+        of_component = [c for c in of_covariates if c.component == component and c.name in identified]
+        for name in dict.fromkeys(c.basis.of[0] for c in of_component):
+            part = [c for c in of_component if c.basis.of[0] == name]
+            curves.append(_curve(effect.where, component, name, part, diagnosed))
+    return curves
 
 
 def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], diagnosed: Diagnosed) -> Curve:
-    """One motion over one covariate, with what each row asks for: its residual pulled back, and the motion itself."""
+    """One motion over one covariate, and what each row asks for: its residual pulled back, plus the model's motion."""
     fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.found.state
     index = [fit.model.names.index(c.name) for c in part]
     theta, covariance = fit.theta[index], fit.covariance[np.ix_(index, index)]
-    seen = table[name]
-    grid = _grid(seen, part)
+    values = table[name]
+    grid = _grid(values, part)
     # A second covariate (a rail's travel, say) is held at its median.
     held = {o: np.full(len(grid), float(np.median(table[o]))) for c in part for o in c.basis.of[1:]}
     phi = np.column_stack([evaluate(c.basis, held | {name: grid}) for c in part])
@@ -269,9 +278,9 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
 
     column = linear.slot_columns(where, component)
     lever = np.sum((column / state.sigma) ** 2, axis=1)
-    asks = np.sum(column * state.residual / state.sigma**2, axis=1) / np.maximum(lever, TINY)
-    moved = np.column_stack([evaluate(c.basis, table) for c in part]) @ theta
-    used = state.used & (lever > FAINT * np.median(lever))
+    own_motion = np.sum(column * state.residual / state.sigma**2, axis=1) / np.maximum(lever, TINY)
+    motion = np.column_stack([evaluate(c.basis, table) for c in part]) @ theta
+    telling = state.used & (lever > FAINT * np.median(lever))
     joint = next((j for j in diagnosed.observed.robot.joints if j.name == where), None)
     turns = component in ANGULAR or (component == "axis" and joint is not None and joint.kind == "revolute")
     return Curve(
@@ -281,14 +290,14 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
         at=grid,
         value=phi @ theta,
         std=np.sqrt(np.maximum(variance, 0.0)),
-        seen=seen[used],
-        pulled=(asks + moved)[used],
+        seen=values[telling],
+        pulled=(own_motion + motion)[telling],
     )
 
 
-def _grid(seen: np.ndarray, part: Sequence[Coefficient]) -> np.ndarray:
+def _grid(values: np.ndarray, part: Sequence[Coefficient]) -> np.ndarray:
     """Values of a covariate over the range seen, close enough for the highest harmonic."""
-    low, high = float(seen.min()), float(seen.max())
+    low, high = float(values.min()), float(values.max())
     highest = max((abs(c.basis.numbers[0]) for c in part if c.basis.form in ("sin", "cos")), default=0.0)
     periods = highest * (high - low) / (2 * math.pi)
     return np.linspace(low, high, max(GRID, math.ceil(PER_PERIOD * periods)))

@@ -95,10 +95,10 @@ class Halves:
         p_value: Chance that noise alone makes the halves of any division differ as much.
         of: The column of the division that differs most.
         how: How it divides the rows.
-        squares: T^2 of that division over its freedom and over the noise seen: 1 is expected.
-        freedom: Numbers that are compared, and that are left for the noise.
-        divisions: How many were looked at.
-        rows: How many rows were compared.
+        squares: T^2 of that division over its freedom and over the noise of the rows: 1 is expected.
+        freedom: Degrees of freedom of the difference, and of the noise.
+        divisions: Number of divisions compared.
+        rows: Number of rows compared.
         measured: RMS difference of the two predicted targets over these rows, both frames of the one moved so that the two
             agree best, [m].
         expected: What noise alone makes of that where this division is the one that differs most by chance, [m].
@@ -131,25 +131,25 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
     if len(fit.theta) == 0 or np.all(fit.estimated <= EXACT * FLOOR):
         return None
     of_rows = columns_of(fit, train, np.maximum(fit.estimated, FLOOR), ROWS, progress)
-    own = np.array([_of_half(c) for c in fit.model.coefficients])
+    of_half = np.array([_is_of_half(c) for c in fit.model.coefficients])
     rows = train.select(of_rows.rows)
     frames = np.array([c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients])
-    at_target = _at_target(of_rows.target, own, frames)
-    found = list(_compared(of_rows, divisions(rows, _loads(fit, rows)), own, rows, at_target))
-    if not found:
+    at_target = _at_target(of_rows.target, of_half, frames)
+    comparisons = list(_comparisons(of_rows, divisions(rows, _loads(fit, rows)), of_half, rows, at_target))
+    if not comparisons:
         return None
-    p_values = np.array([each.p_values for each in found])
+    p_values = np.array([each.p_values for each in comparisons])
     best, least = p_values.argmin(axis=0), p_values.min(axis=0)
     by_draws = float(np.sum(least <= least[0])) / len(least)
-    worst = found[best[0]]
-    moved = [found[k].moved[draw] for draw, k in enumerate(best)]
+    worst = comparisons[best[0]]
+    moved = [comparisons[k].moved[draw] for draw, k in enumerate(best)]
     return Halves(
-        p_value=min(by_draws, len(found) * float(least[0])),
+        p_value=min(by_draws, len(comparisons) * float(least[0])),
         of=worst.division.of,
         how=worst.division.how,
         squares=worst.squares,
         freedom=worst.freedom,
-        divisions=len(found),
+        divisions=len(comparisons),
         rows=len(of_rows),
         measured=float(np.sqrt(worst.usual * moved[0])),
         expected=float(np.sqrt(worst.usual * np.mean(moved[1:]))),
@@ -157,15 +157,15 @@ def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | No
 
 
 def _loads(fit: Fit, rows: Dataset) -> dict[str, np.ndarray]:
-    """Gravity on every joint of the nominal arm, shape (N,) each: what bends it goes with sums of readings."""
+    """Load of gravity on every joint of the nominal arm, by name, shape (N,) each: bending depends on sums of readings."""
     model = fit.model
     world = rows_of_data(model, rows).world
     table = covariate_table(model.robot, rows.readings, rows.covariates, model.around, world, {GRAVITY})
     return {name: values for name, values in table.items() if GRAVITY in name}
 
 
-def _of_half(c: Coefficient) -> bool:
-    """True for what each half has of its own: all but samples of smooth functions and frames of single stations."""
+def _is_of_half(c: Coefficient) -> bool:
+    """True for a coefficient that each half has of its own: all but samples of smooth functions and frames of single stations."""
     return not c.basis.smooth and c.station is None
 
 
@@ -174,40 +174,41 @@ def divisions(rows: Dataset, loads: Mapping[str, np.ndarray]) -> list[Division]:
 
     Args:
         rows: N rows.
-        loads: What else the arm feels, shape (N,) each: gravity on its joints.
+        loads: Loads of gravity on the joints, by name, shape (N,) each.
     """
-    found = []
+    candidates = []
     joints = zip(rows.names, rows.kinds, rows.readings.T, strict=True)
     columns = [(of, np.angle(np.exp(1j * q)) if kind != "prismatic" else q) for of, kind, q in joints]
     for of, values in [*columns, ("row", np.argsort(rows.sequence).astype(float))]:
         eighth = np.minimum(8 * np.searchsorted(np.sort(values), values) // len(values), 7)
-        found += [Division(of, how, np.array(pattern)[eighth] == 1) for how, pattern in PATTERNS.items()]
+        candidates += [Division(of, how, np.array(pattern)[eighth] == 1) for how, pattern in PATTERNS.items()]
     readings = dict(zip(rows.names, rows.readings.T, strict=True))
     for of, values in (readings | rows.covariates | dict(loads)).items():
         if np.isfinite(values).all():
             middle = np.median(values)
             above, least = values > middle, values >= middle
             side = min((above, least), key=lambda half: abs(half.mean() - 0.5))
-            found.append(Division(of, next(iter(PATTERNS)), side))
-    kept: dict[bytes, Division] = {}
-    for each in found:
+            candidates.append(Division(of, next(iter(PATTERNS)), side))
+    distinct: dict[bytes, Division] = {}
+    for each in candidates:
         balance = min(each.side.mean(), 1.0 - each.side.mean())
         if balance >= SMALLEST:
-            kept.setdefault((each.side ^ each.side[0]).tobytes(), each)  # whichever half is called the second
-    return list(kept.values())
+            distinct.setdefault((each.side ^ each.side[0]).tobytes(), each)  # whichever half is called the second
+    return list(distinct.values())
 
 
 @dataclass(frozen=True)
-class _Compared:
-    """One division: what its halves say, and what they say in draws.
+class _Comparison:
+    """The halves of one division compared, for the residuals and for each draw of noise.
 
     Attributes:
         division: Which rows are on which side.
-        p_values: Of the rows, then of each draw, shape (1 + DRAWS,).
+        p_values: p-values of the residuals, then of each draw, shape (1 + DRAWS,).
         squares: See :class:`Halves`.
-        freedom: Likewise.
+        freedom: See :class:`Halves`.
         usual: Mean square of the difference at the target that noise makes, [m^2].
-        moved: That of the rows and of each draw, in units of it, shape (1 + DRAWS,); NaN where a division before differs as much.
+        moved: Mean square of the difference at the target, of the residuals and of each draw, in units of ``usual``, shape
+            (1 + DRAWS,); NaN where an earlier division differs as much.
     """
 
     division: Division
@@ -218,17 +219,17 @@ class _Compared:
     moved: np.ndarray
 
 
-def _compared(
-    rows: Columns, ways: list[Division], own: np.ndarray, data: Dataset, at_target: np.ndarray
-) -> Iterator[_Compared]:
+def _comparisons(
+    rows: Columns, divided: list[Division], of_half: np.ndarray, data: Dataset, at_target: np.ndarray
+) -> Iterator[_Comparison]:
     """Compare the halves of every division that leaves enough numbers.
 
     Args:
         rows: N rows of m numbers.
-        ways: The divisions.
-        own: Coefficients that each half has of its own, shape (K,) bool.
+        divided: The divisions.
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
         data: The same rows.
-        at_target: What a difference of those coefficients is there, squared, shape (k, k); see :func:`_at_target`.
+        at_target: Square of a difference of those coefficients at the target, shape (k, k); see :func:`_at_target`.
     """
     N, m, K = rows.J.shape
     things = rows.solved()
@@ -236,34 +237,34 @@ def _compared(
     none = np.zeros((len(rows.known.left), K))
     JP, tied = rows.less(rows.J, none, things)
     inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), RANK)
-    drawn, known = _draws(rows, data)
-    drawn, known = rows.less(drawn, known, things)
-    flat = drawn.reshape(N * m, -1)
-    # What all coefficients together take off the residuals, and off every draw.
+    sets, beforehand = _draws(rows, data)
+    sets, beforehand = rows.less(sets, beforehand, things)
+    flat = sets.reshape(N * m, -1)
+    # All coefficients together, fitted to the residuals and to every draw.
     steps = inverse @ (J.T @ flat)
     flat = flat - JP.reshape(N * m, K) @ steps
-    known = known - tied @ steps
-    squares = np.sum(flat**2, axis=0) + np.sum(known**2, axis=0)
+    beforehand = beforehand - tied @ steps
+    squares = np.sum(flat**2, axis=0) + np.sum(beforehand**2, axis=0)
     numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
-    left = round(float(numbers)) - spent
+    freedom = round(float(numbers)) - spent
     least = np.full(flat.shape[1], np.inf)
-    for way, side in zip(ways, _sides(rows, ways, own, things, flat, data.labels.route), strict=True):
+    for division, side in zip(divided, _sides(rows, divided, of_half, things, flat, data.labels.route), strict=True):
         M = side.squares - side.cross.T @ inverse @ side.cross
         root = root_of_inverse(M, RANK)
         d = len(root)
-        if d == 0 or left - d < d:
+        if d == 0 or freedom - d < d:
             continue
         w = root @ side.pull
         T2 = np.sum(w**2, axis=0)
-        noise = (squares - T2) / (left - d)
+        noise = (squares - T2) / (freedom - d)
         F = T2 / d / np.maximum(noise, np.finfo(float).tiny)
-        p_values = fdtrc(d, left - d, F)
-        worst = p_values < least  # of no others is it asked what they move
+        p_values = fdtrc(d, freedom - d, F)
+        worst = p_values < least  # the motion of the target is computed for these alone
         least = np.minimum(least, p_values)
         difference, moved = root.T @ w[:, worst], np.full(len(F), np.nan)
         usual = max(float(np.sum(at_target * (root.T @ root))), np.finfo(float).tiny) if worst.any() else np.nan
         moved[worst] = np.maximum(np.sum(difference * (at_target @ difference), axis=0), 0.0) / usual
-        yield _Compared(way, p_values, float(F[0]), (d, left - d), usual, moved)
+        yield _Comparison(division, p_values, float(F[0]), (d, freedom - d), usual, moved)
 
 
 @dataclass(frozen=True)
@@ -271,9 +272,9 @@ class _Side:
     """Sums over the second half of a division, of the k columns that each half has of its own.
 
     Attributes:
-        squares: With one another, shape (k, k), less what the things take up.
-        cross: With all columns, shape (K, k), likewise.
-        pull: With what is left of the residuals and of each draw, shape (k, 1 + DRAWS).
+        squares: Products with one another, shape (k, k), less what the things take up.
+        cross: Products with all columns, shape (K, k), likewise.
+        pull: Products with the rest of the residuals and of each draw, shape (k, 1 + DRAWS).
     """
 
     squares: np.ndarray
@@ -283,8 +284,8 @@ class _Side:
 
 def _sides(
     rows: Columns,
-    ways: list[Division],
-    own: np.ndarray,
+    divided: list[Division],
+    of_half: np.ndarray,
     things: Eliminated,
     flat: np.ndarray,
     route: np.ndarray | None,
@@ -293,99 +294,105 @@ def _sides(
 
     Args:
         rows: N rows of m numbers.
-        ways: The divisions.
-        own: Coefficients that each half has of its own, shape (K,) bool.
-        things: Of all rows: they hang together, so that sums over parts are none over the whole.
-        flat: What is left of the residuals and of the draws, shape (N m, 1 + DRAWS).
+        divided: The divisions.
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
+        things: Things of all rows: rows share them, so that sums over parts of the rows do not add up to those over all.
+        flat: Residuals and draws after the fit of all coefficients, shape (N m, 1 + DRAWS).
         route: Number of the path that each row takes, shape (N,); None where all take one.
     """
     N, m, K = rows.J.shape
     if rows.groups is not None:
-        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(own.sum())))
-        for way in ways:
-            A = np.where(way.side[:, None, None], rows.J[:, :, own], 0.0)
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(of_half.sum())))
+        for division in divided:
+            A = np.where(division.side[:, None, None], rows.J[:, :, of_half], 0.0)
             AP = rows.less(A, none, things)[0].reshape(N * m, -1)
             A = A.reshape(N * m, -1)
             yield _Side(A.T @ AP, J.T @ AP, A.T @ flat)
         return
-    taken = np.zeros(N) if route is None else route
-    limbs = [_Limb(np.flatnonzero(taken == path), rows.J, own, flat.reshape(N, m, -1)) for path in np.unique(taken)]
-    made: dict[str, dict[bytes, _Side]] = {}
-    for way in ways:
-        if way.of not in made:
-            same = np.array([other.side for other in ways if other.of == way.of])
+    path_of_row = np.zeros(N) if route is None else route
+    limbs = [
+        _Limb(np.flatnonzero(path_of_row == path), rows.J, of_half, flat.reshape(N, m, -1))
+        for path in np.unique(path_of_row)
+    ]
+    sides_of: dict[str, dict[bytes, _Side]] = {}
+    for division in divided:
+        if division.of not in sides_of:
+            same = np.array([sibling.side for sibling in divided if sibling.of == division.of])
             bits = np.arange(len(same))[::-1]
             code, number = np.unique(2**bits @ same, return_inverse=True)
             parts = code >> bits[:, None] & 1
-            crosses, pulls = np.zeros((len(same), K, own.sum())), np.zeros((len(same), own.sum(), flat.shape[1]))
+            crosses, pulls = (
+                np.zeros((len(same), K, of_half.sum())),
+                np.zeros((len(same), of_half.sum(), flat.shape[1])),
+            )
             for limb in limbs:
                 each = {c: limb.sums(number == c) for c in np.flatnonzero(parts.any(axis=0)).tolist()}
                 for cross, pull, some in zip(crosses, pulls, parts, strict=True):
                     chosen = [each[c] for c in np.flatnonzero(some).tolist()]
-                    cross[np.ix_(limb.columns, limb.own)] += sum(own for own, _ in chosen)
-                    pull[limb.own] += sum(own for _, own in chosen)
-            sides = [_Side(cross[own], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
-            made[way.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
-        yield made[way.of].pop(way.side.tobytes())
+                    cross[np.ix_(limb.columns, limb.own)] += sum(c for c, _ in chosen)
+                    pull[limb.own] += sum(p for _, p in chosen)
+            sides = [_Side(cross[of_half], cross, pull) for cross, pull in zip(crosses, pulls, strict=True)]
+            sides_of[division.of] = dict(zip((side.tobytes() for side in same), sides, strict=True))
+        yield sides_of[division.of].pop(division.side.tobytes())
 
 
 class _Limb:
     """Rows of one path: coefficients of other limbs do not move them."""
 
-    def __init__(self, rows: np.ndarray, J: np.ndarray, own: np.ndarray, left: np.ndarray) -> None:
-        """Take them and what moves them.
+    def __init__(self, rows: np.ndarray, J: np.ndarray, of_half: np.ndarray, residuals: np.ndarray) -> None:
+        """Keep the rows of one path, and the columns that move them.
 
         Args:
-            rows: Which of N rows they are.
-            J: Columns of all, shape (N, m, K).
-            own: Coefficients that each half has of its own, shape (K,) bool.
-            left: What is left of the residuals and of each draw, shape (N, m, 1 + DRAWS).
+            rows: Numbers of the limb's rows.
+            J: Columns of all N rows, shape (N, m, K).
+            of_half: Coefficients that each half has of its own, shape (K,) bool.
+            residuals: Residuals and draws after the fit of all coefficients, shape (N, m, 1 + DRAWS).
         """
         self.columns = np.flatnonzero(J[rows].any(axis=(0, 1)))
-        self._rows, self._own = rows, own[self.columns]
-        self.own = (np.cumsum(own) - 1)[self.columns[self._own]]
-        self._J, self._left = J[rows][:, :, self.columns], left[rows]
+        self._rows, self._own = rows, of_half[self.columns]
+        self.own = (np.cumsum(of_half) - 1)[self.columns[self._own]]
+        self._J, self._residuals = J[rows][:, :, self.columns], residuals[rows]
 
     def sums(self, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Cross and pull of :class:`_Side` over some of the N rows, shape (N,) bool, of the columns that are not zero."""
-        here = some[self._rows]
-        J, left = (x[here].reshape(-1, x.shape[2]) for x in (self._J, self._left))
+        chosen = some[self._rows]
+        J, residuals = (x[chosen].reshape(-1, x.shape[2]) for x in (self._J, self._residuals))
         A = J[:, self._own]
         # Products of columns with themselves are symmetric, and half the work.
         cross = (J.T @ J)[:, self._own] if 2 * A.shape[1] > J.shape[1] else J.T @ A
-        return cross, A.T @ left
+        return cross, A.T @ residuals
 
 
 def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """The residuals and sets of noise in their place, shape (N, m, 1 + DRAWS), and of what is known beforehand likewise.
+    """The residuals and then sets of noise, shape (N, m, 1 + DRAWS); the same for what is known beforehand, (T, 1 + DRAWS).
 
     The same rows give the same noise, other rows other noise: what chance made of one campaign is not that of the next.
     """
     of_kinds = () if data.direct else (data.observed,)
-    read = b"".join(values.tobytes() for values in (data.readings, data.position, *of_kinds))
-    rng = np.random.default_rng(int.from_bytes(hashlib.sha256(read).digest()))
+    content = b"".join(values.tobytes() for values in (data.readings, data.position, *of_kinds))
+    rng = np.random.default_rng(int.from_bytes(hashlib.sha256(content).digest()))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one place are one measurement
         place = held_together(data)
-        each = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
-        every = each[place] * np.sqrt(rows.share)
+        of_places = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
+        draws = of_places[place] * np.sqrt(rows.share)
     else:
-        every = rng.standard_normal((N, m, DRAWS))
-    noise = np.where(rows.there[:, :, None], every, 0.0)
-    known = rng.standard_normal((len(rows.known.left), DRAWS))
-    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, known])
+        draws = rng.standard_normal((N, m, DRAWS))
+    noise = np.where(rows.there[:, :, None], draws, 0.0)
+    beforehand = rng.standard_normal((len(rows.known.left), DRAWS))
+    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, beforehand])
 
 
-def _at_target(target: np.ndarray, own: np.ndarray, frames: np.ndarray) -> np.ndarray:
-    """Mean square at the target of a difference of coefficients, shape (k, k), their common unobservable motion taken off.
+def _at_target(target: np.ndarray, of_half: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Mean square at the target of a difference of coefficients, shape (k, k), less a common motion of base or target.
 
     Base and target are mounted anew by whoever uses a calibration: what differs by a motion of either is no difference of arms.
 
     Args:
-        target: How it moves with the coefficients, shape (N, 3, K).
-        own: Coefficients that the halves have of their own, shape (K,) bool.
-        frames: Those of the two frames, shape (K,) bool.
+        target: Shift of the target with each coefficient, shape (N, 3, K).
+        of_half: Coefficients that each half has of its own, shape (K,) bool.
+        frames: Coefficients of the two frames, shape (K,) bool.
     """
     J = target.reshape(-1, target.shape[2])
-    J = across(J[:, frames], J[:, own])
+    J = across(J[:, frames], J[:, of_half])
     return np.asarray(J.T @ J) / len(target)

@@ -155,23 +155,25 @@ def iso_9283(
     if not applies(rows):
         return None
     copied = copies(rows)
-    label, used = places(rows), ~(copied | outlier)
-    own = rows.sequence[used[rows.sequence]]
-    own = own[np.bincount(label[own])[label[own]] > 1]  # of a million rows most are alone, and need no array each
-    _, first, number, count = np.unique(label[own], return_index=True, return_inverse=True, return_counts=True)
-    if not len(own):
+    label, usable = places(rows), ~(copied | outlier)
+    repeating = rows.sequence[usable[rows.sequence]]
+    repeating = repeating[
+        np.bincount(label[repeating])[label[repeating]] > 1
+    ]  # of a million rows most are alone, and need no array each
+    _, first, number, count = np.unique(label[repeating], return_index=True, return_inverse=True, return_counts=True)
+    if not len(repeating):
         return None
-    together = np.split(own[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
+    together = np.split(repeating[np.argsort(number, kind="stable")], np.cumsum(count)[:-1])
     cycles = tuple(together[k] for k in np.argsort(first))  # in the order of their first cycles
-    there = np.isin(label, label[[group[0] for group in cycles]])
+    of_poses = np.isin(label, label[[group[0] for group in cycles]])
     pairs = _pairs(rows, cycles)
     return Iso9283(
         cycles=cycles,
         held_out=np.array([bool(rows.test[group].all()) for group in cycles]),
         hours=np.array([_hours(rows, group) for group in cycles]),
         pairs=pairs,
-        copies=int((there & copied).sum()),
-        flagged=int((there & outlier & ~copied).sum()),
+        copies=int((of_poses & copied).sum()),
+        flagged=int((of_poses & outlier & ~copied).sum()),
         nominal=_figures(rows, cycles, pairs, *nominal),
         final=_figures(rows, cycles, pairs, *final),
     )
@@ -190,7 +192,7 @@ def _pairs(rows: Dataset, cycles: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _hours(rows: Dataset, group: np.ndarray) -> float:
-    """From the first to the last of some rows; NaN where one has no time."""
+    """Hours from the first to the last of some rows; NaN where one has no time."""
     time = rows.covariates.get("time")
     return float("nan") if time is None else float(np.ptp(time[group]) / 3600.0)
 
@@ -210,14 +212,14 @@ def _figures(
     deviations, commands = np.split(off, ends), np.split(command, ends)
     centre = [c.mean(axis=0) for c in commands]
     attained = [c + d[:, 0] for c, d in zip(centre, deviations, strict=True)]
-    found = {symbol: np.full(len(cycles), np.nan) for symbol in _symbols(off.shape[1] > 1)}
+    figures = {symbol: np.full(len(cycles), np.nan) for symbol in _symbols(off.shape[1] > 1)}
     for k, (group, d) in enumerate(zip(cycles, deviations, strict=True)):
         for symbol, value in _of_pose(rows, group, d).items():
-            found[symbol][k] = value
-    found["AD"], found["RD"] = np.array([
+            figures[symbol][k] = value
+    figures["AD"], figures["RD"] = np.array([
         _of_pair(attained[a], attained[b], centre[a], centre[b]) for a, b in pairs
     ]).reshape(-1, 2).T  # fmt: skip
-    return found
+    return figures
 
 
 def _symbols(turns: bool) -> list[str]:
@@ -236,25 +238,25 @@ def _of_pose(rows: Dataset, group: np.ndarray, off: np.ndarray) -> dict[str, flo
     """
     where = off[:, 0]
     mean = off.mean(axis=0)
-    found = {"AP": accuracy_of(where), **dict(zip(("AP_x", "AP_y", "AP_z"), mean[0].tolist(), strict=True))}
+    figures = {"AP": accuracy_of(where), **dict(zip(("AP_x", "AP_y", "AP_z"), mean[0].tolist(), strict=True))}
     if off.shape[1] > 1:
-        found |= {f"AP_{axis}": value for axis, value in zip(TURNS, mean[1].tolist(), strict=True)}
+        figures |= {f"AP_{axis}": value for axis, value in zip(TURNS, mean[1].tolist(), strict=True)}
     if len(group) < LEAST_CYCLES:
-        return found
-    found["RP"] = repeatability_of(where)
+        return figures
+    figures["RP"] = repeatability_of(where)
     if off.shape[1] > 1:
         spread = 3.0 * off[:, 1].std(axis=0, ddof=1)
-        found |= {f"RP_{axis}": value for axis, value in zip(TURNS, spread.tolist(), strict=True)}
+        figures |= {f"RP_{axis}": value for axis, value in zip(TURNS, spread.tolist(), strict=True)}
     sides = _directions(rows, group)
     centres = [where[sides == side].mean(axis=0) for side in set(sides.tolist()) - {0}]
     if len(centres) > 1:
-        found["vAP"] = max(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(centres, 2))
+        figures["vAP"] = max(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(centres, 2))
     window = min(WINDOW, len(group) // 2)
     if window >= LEAST_CYCLES and not np.isnan(_hours(rows, group)):
         first, last = where[:window], where[-window:]
-        found["dAP"] = abs(accuracy_of(first) - accuracy_of(last))
-        found["dRP"] = abs(repeatability_of(first) - repeatability_of(last))
-    return found
+        figures["dAP"] = abs(accuracy_of(first) - accuracy_of(last))
+        figures["dRP"] = abs(repeatability_of(first) - repeatability_of(last))
+    return figures
 
 
 def accuracy_of(off: np.ndarray) -> float:
@@ -274,59 +276,59 @@ def _of_pair(
     """AD and RD of two poses, attained at (n, 3) and (m, 3), [m]: of the cycles that both have."""
     n = min(len(one), len(other))
     distance = np.linalg.norm(one[:n] - other[:n], axis=1)
-    asked = np.linalg.norm(command - command_of_other)
-    return float(distance.mean() - asked), float(3.0 * distance.std(ddof=1)) if n >= LEAST_CYCLES else float("nan")
+    commanded = np.linalg.norm(command - command_of_other)
+    return float(distance.mean() - commanded), float(3.0 * distance.std(ddof=1)) if n >= LEAST_CYCLES else float("nan")
 
 
 def _directions(rows: Dataset, group: np.ndarray) -> np.ndarray:
-    """From which side some rows were approached: equal numbers from 1 on are equal sides, 0 is not known, shape (n,).
+    """The side from which each of some rows was approached: equal numbers from 1 on are equal sides, 0 is unknown, shape (n,).
 
-    What was derived from the order of rows is no knowledge: others may have been left out.
+    Sides derived from the order of the rows do not count: rows between them may have been left out.
     """
     names = [f"{name}_direction" for name in rows.names]
-    known = [
+    measured = [
         rows.covariates[name][group] for name in names if name in rows.covariates and name not in rows.origin.derived
     ]
-    if not known:
+    if not measured:
         return np.zeros(len(group), dtype=int)
-    columns = np.column_stack(known)
+    columns = np.column_stack(measured)
     label = np.unique(columns, axis=0, return_inverse=True)[1].reshape(-1) + 1
     label[np.isnan(columns).any(axis=1) | ~columns.any(axis=1)] = 0
     few = np.bincount(label)[label] < LEAST_CYCLES
     return np.where(few, 0, label)
 
 
-def document(found: Iso9283, rows: Dataset) -> dict[str, Any]:
+def document(iso: Iso9283, rows: Dataset) -> dict[str, Any]:
     """The figures as ``result.json`` has them, [mm] and [mrad]."""
 
     def shown(figures: Figures, symbols: Sequence[str], k: int) -> dict[str, float]:
         units = {symbol: "mrad" if symbol[-1] in TURNS else "mm" for symbol in symbols}
         return {f"{symbol}_{units[symbol]}": 1e3 * float(figures[symbol][k]) for symbol in symbols}
 
-    models = {"nominal": found.nominal, "final": found.final}
-    of_poses = [symbol for symbol in found.final if symbol not in OF_PAIRS]
+    models = {"nominal": iso.nominal, "final": iso.final}
+    of_poses = [symbol for symbol in iso.final if symbol not in OF_PAIRS]
     names = [
         {"file": rows.origin.files[rows.origin.file[group[0]]].name, "row": int(rows.origin.line[group[0]])}
-        for group in found.cycles
+        for group in iso.cycles
     ]  # of the first cycle
     return {
         "standard": STANDARD,
-        "enough_cycles_and_poses": found.enough,
-        "copies": found.copies,
-        "outliers": found.flagged,
+        "enough_cycles_and_poses": iso.enough,
+        "copies": iso.copies,
+        "outliers": iso.flagged,
         "poses": [
             {
                 **names[k],
                 "cycles": len(group),
-                "split": "test" if found.held_out[k] else "train",
-                "hours": found.hours[k],
+                "split": "test" if iso.held_out[k] else "train",
+                "hours": iso.hours[k],
             }
             | {model: shown(figures, of_poses, k) for model, figures in models.items()}
-            for k, group in enumerate(found.cycles)
+            for k, group in enumerate(iso.cycles)
         ],
         "distances": [
-            {"between": [names[int(a)], names[int(b)]], "cycles": int(min(found.counts[[a, b]]))}
+            {"between": [names[int(a)], names[int(b)]], "cycles": int(min(iso.counts[[a, b]]))}
             | {model: shown(figures, OF_PAIRS, d) for model, figures in models.items()}
-            for d, (a, b) in enumerate(found.pairs)
+            for d, (a, b) in enumerate(iso.pairs)
         ],
     }

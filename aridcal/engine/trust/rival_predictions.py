@@ -18,10 +18,10 @@ class Rival:
     """A cause that the rows could not tell from the one named.
 
     Attributes:
-        effect: In words.
+        effect: The cause in words.
         instead_of: The effect that is named, in words.
-        weight: How likely it is, of that effect and its rivals.
-        change: By how much coefficients differ from the model's with it.
+        weight: Probability of the cause among that effect and all its rivals, 0 to 1.
+        change: Differences of coefficients from the model's, if this cause is the right one.
     """
 
     effect: str
@@ -48,20 +48,20 @@ def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tup
         The model with the coefficients of rivals beside its own, the mean of all, and their covariance.
     """
     mean: dict[Coefficient, float] = {}
-    ways: list[Untold] = []
+    roots: list[Untold] = []
     for effect in dict.fromkeys(rival.instead_of for rival in rivals):
-        own = [rival for rival in rivals if rival.instead_of == effect]
+        of_effect = [rival for rival in rivals if rival.instead_of == effect]
         shift: dict[Coefficient, float] = {}
-        for rival in own:
+        for rival in of_effect:
             for c, value in rival.change:
                 shift[c] = shift.get(c, 0.0) + rival.weight * value
-        itself = 1.0 - sum(rival.weight for rival in own)
-        for weight, change in ((itself, {}), *((rival.weight, dict(rival.change)) for rival in own)):
+        itself = 1.0 - sum(rival.weight for rival in of_effect)
+        for weight, change in ((itself, {}), *((rival.weight, dict(rival.change)) for rival in of_effect)):
             root = np.sqrt(max(weight, 0.0))
-            ways.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
+            roots.append(tuple((c, root * (change.get(c, 0.0) - value)) for c, value in shift.items()))
         for c, value in shift.items():
             mean[c] = mean.get(c, 0.0) + value
-    wide, values, covariance = with_untold(model, theta, ways)
+    wide, values, covariance = with_untold(model, theta, roots)
     return wide, values + np.array([mean.get(c, 0.0) for c in wide.coefficients]), covariance
 
 
@@ -72,7 +72,7 @@ def between(
     readings: np.ndarray,
     covariates: Mapping[str, np.ndarray],
     labels: tuple[np.ndarray | None, np.ndarray | None],
-    seen: Mapping[str, tuple[float, float]],
+    ranges: Mapping[str, tuple[float, float]],
     tool: np.ndarray | None = None,
 ) -> np.ndarray:
     """Covariance of the target between an effect and its rivals, shape (N, 6, 6), world axes; see :func:`with_rivals`.
@@ -82,23 +82,23 @@ def between(
         theta: Its coefficients, shape (K,).
         rivals: Of its effects.
         readings: Shape (N, columns).
-        covariates: Shape (N,) each; what is missing, or a hole, is at the end of what was seen where the rivals differ more.
-        labels: Of stations and of targets, shape (N,) each, where frames have some.
-        seen: Lowest and highest value of columns.
+        covariates: Shape (N,) each; a missing column, or a hole, is taken at the end of its range where the rivals differ more.
+        labels: Labels of stations and of targets, shape (N,) each, where frames have some.
+        ranges: Lowest and highest value of each column at the fitted rows.
         tool: A point that moves with the target, in its axes, shape (3,), [m].
     """
     wide, values, covariance = with_rivals(model, theta, rivals)
-    found: np.ndarray | None = None
+    largest: np.ndarray | None = None
     for end in (0, 1):
-        given = dict(covariates)
+        columns = dict(covariates)
         for name in wide.needs:
-            there = given.get(name, np.full(len(readings), np.nan))
-            given[name] = np.where(np.isnan(there), seen.get(name, (0.0, 0.0))[end], there)
-        own = target_covariance(wide, values, covariance, wide.rows(readings, given, *labels), tool)
-        if found is None:
-            found = own
+            values_there = columns.get(name, np.full(len(readings), np.nan))
+            columns[name] = np.where(np.isnan(values_there), ranges.get(name, (0.0, 0.0))[end], values_there)
+        covariance_of_end = target_covariance(wide, values, covariance, wide.rows(readings, columns, *labels), tool)
+        if largest is None:
+            largest = covariance_of_end
         else:
-            larger = np.einsum("nii->n", own[:, :3, :3]) > np.einsum("nii->n", found[:, :3, :3])
-            found[larger] = own[larger]
-    assert found is not None
-    return found
+            larger = np.einsum("nii->n", covariance_of_end[:, :3, :3]) > np.einsum("nii->n", largest[:, :3, :3])
+            largest[larger] = covariance_of_end[larger]
+    assert largest is not None
+    return largest

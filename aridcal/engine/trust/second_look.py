@@ -1,4 +1,4 @@
-"""A second look at a calibration, from its own rows: halves, parts, single ones, and what they tell of constants."""
+"""A second look at a calibration, from its own rows: halves, folds, single rows, and what they tell of the constants."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from aridcal.system.progress import SILENT, Progress
 
 @dataclass(frozen=True)
 class SecondLook:
-    """What its rows say of a calibration when they are asked part by part; None where they are too few to be.
+    """What parts of its rows say of a calibration; None where there are too few rows.
 
     Attributes:
-        halves: Of the geometric and of the final model, by the name of the stage; of the last alone where both are the same.
-        folds: Errors of the final model on rows left out.
-        influence: What leaving out single rows does to it.
+        halves: Halves of the geometric and of the final model, by stage; of the final alone where both models are the same.
+        folds: Errors of the final model on folds that were left out.
+        influence: How the final model changes without each row.
         known: What the rows tell of the arm's constants.
     """
 

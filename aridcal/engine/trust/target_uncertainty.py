@@ -14,13 +14,13 @@ from aridcal.engine.rows.dataset import Dataset
 
 @dataclass(frozen=True)
 class Lever:
-    """How what rows of one block measure follows the target.
+    """How the numbers that rows of one block measure follow the target.
 
     Attributes:
-        rows: Their numbers, shape (n,).
-        part: Columns of what they measure, m of them.
-        shift: The smallest shift of the target that changes these numbers by so much, shape (n, 3, m), [m] per unit; zero
-            where none does.
+        rows: Numbers of the rows, shape (n,).
+        part: Columns of what the rows measure, m of them.
+        shift: The smallest shift of the target that changes a column by one unit, shape (n, 3, m), [m] per unit; zero where
+            none does.
         turn: The smallest turn, likewise, [rad] per unit.
     """
 
@@ -36,7 +36,7 @@ class AtTarget:
 
     Attributes:
         places: Where the model has the target, shape (N, 3), [m].
-        levers: Of each block.
+        levers: One of each block.
     """
 
     places: np.ndarray
@@ -47,54 +47,54 @@ class AtTarget:
 
         .. math:: d = G^+ r
 
-        with G, how the prediction follows the target's position. Of a position that is the error itself; of a distance, as
-        much along the wire; of a pixel, its size times distance over focal length, across the line of sight.
+        with G, how the prediction follows the target's position. For a position d is the error itself; for a distance, as much
+        along the wire; for a pixel, its size times distance over focal length, across the line of sight.
         """
-        found = np.full(self.places.shape, np.nan)
+        shift = np.full(self.places.shape, np.nan)
         for lever in self.levers:
             if np.any(lever.shift):
-                found[lever.rows] = np.einsum("nij,nj->ni", lever.shift, residual[lever.rows, lever.part])
-        return found
+                shift[lever.rows] = np.einsum("nij,nj->ni", lever.shift, residual[lever.rows, lever.part])
+        return shift
 
     def noise(self, sigma: np.ndarray) -> tuple[float, float]:
-        """What noise of the numbers, shape (m,), is at the target, [m] and [rad] along each axis that the row tells of.
+        """Noise at the target from noise of the numbers, shape (m,): [m] and [rad] along each axis that the row tells of.
 
         Returns:
-            Medians over the rows, of the block that knows it best; 1 where none does.
+            Medians over the rows, of the block with the smallest noise; 1 where no block tells.
         """
-        found = []
+        medians = []
         for of in ("shift", "turn"):
             sizes = []
             for lever in self.levers:
-                own: np.ndarray = getattr(lever, of)
-                told = np.linalg.matrix_rank(own)
-                if told.any():
-                    spread = np.sum((own * sigma[lever.part]) ** 2, axis=(1, 2))[told > 0] / told[told > 0]
+                inverse: np.ndarray = getattr(lever, of)
+                rank = np.linalg.matrix_rank(inverse)
+                if rank.any():
+                    spread = np.sum((inverse * sigma[lever.part]) ** 2, axis=(1, 2))[rank > 0] / rank[rank > 0]
                     sizes.append(float(np.sqrt(np.median(spread))))
-            found.append(min(sizes, default=1.0))
-        return found[0], found[1]
+            medians.append(min(sizes, default=1.0))
+        return medians[0], medians[1]
 
 
 def at_target(fit: Fit, rows: Dataset) -> AtTarget:
     """Look at N rows of any kind from the target.
 
     Args:
-        fit: Where it is.
-        rows: What was measured.
+        fit: The model, for the target's place.
+        rows: The measurements.
     """
-    asked = problem(fit.model, rows)
-    R, p = fit.model.poses(fit.theta, asked.rows)
-    seen = asked.measured
-    if seen.direct:
+    fit_problem = problem(fit.model, rows)
+    R, p = fit.model.poses(fit.theta, fit_problem.rows)
+    measured = fit_problem.measured
+    if measured.direct:
         numbers = slice(0, columns(rows.channels)[-1].stop)
         of_all = _lever(np.arange(len(rows)), numbers, np.eye(6)[None, numbers])
-        shift, turn = (np.broadcast_to(own, (len(rows), *own.shape[1:])) for own in (of_all.shift, of_all.turn))
+        shift, turn = (np.broadcast_to(some, (len(rows), *some.shape[1:])) for some in (of_all.shift, of_all.turn))
         return AtTarget(p, (replace(of_all, shift=shift, turn=turn),))
-    by_twist = seen.settled(fit.theta).slopes(R, p, fit.theta).by_twist
-    blocks = [(np.flatnonzero(seen.block == b), part) for b, part in enumerate(seen.parts)]
-    return AtTarget(p, tuple(_lever(own, part, by_twist[own, part]) for own, part in blocks))
+    by_twist = measured.settled(fit.theta).slopes(R, p, fit.theta).by_twist
+    blocks = [(np.flatnonzero(measured.block == b), part) for b, part in enumerate(measured.parts)]
+    return AtTarget(p, tuple(_lever(some, part, by_twist[some, part]) for some, part in blocks))
 
 
-def _lever(own: np.ndarray, part: slice, by_twist: np.ndarray) -> Lever:
-    """That of some rows, from how their numbers follow a twist of the target, shape (n, m, 6)."""
-    return Lever(own, part, np.linalg.pinv(by_twist[:, :, :3]), np.linalg.pinv(by_twist[:, :, 3:]))
+def _lever(rows: np.ndarray, part: slice, by_twist: np.ndarray) -> Lever:
+    """The lever of some rows, from the derivatives of their numbers by a twist of the target, shape (n, m, 6)."""
+    return Lever(rows, part, np.linalg.pinv(by_twist[:, :, :3]), np.linalg.pinv(by_twist[:, :, 3:]))

@@ -53,17 +53,17 @@ UNKNOWN_NOISE = (
 
 @dataclass(frozen=True)
 class Beyond:
-    """What rows leave beyond the calibration's own uncertainty, along each axis, as seen from the target.
+    """Error of rows beyond the calibration's own uncertainty, along each axis, as seen from the target.
 
     Attributes:
         squares: Mean square of the residuals, [m²] or [rad²].
         noise: Mean variance of the instrument's declared noise.
         model: Mean variance of the prediction.
-        freedom: Behind ``squares``.
-        size: Length of each row's residual, shape (n,), [m] or [rad]; infinite of rows that were flagged as outliers, for nobody
-            knows whether it was the instrument that failed.
+        freedom: Degrees of freedom behind ``squares``.
+        size: Length of each row's residual, shape (n,), [m] or [rad]; infinite for outliers, since nobody knows whether the
+            instrument failed there.
         declared: False where nothing says what the instrument's noise is.
-        held_out: False where no row was held out: these are the fitted ones.
+        held_out: False where no row was held out: the residuals are then those of fitted rows.
     """
 
     squares: float
@@ -80,31 +80,31 @@ class Beyond:
         return float(np.sqrt(max(self.squares - self.noise - self.model, 0.0)))
 
     def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
-        """What it may be, shape (count,), [m] or [rad]."""
+        """Standard deviations that the squares allow, drawn at random, shape (count,), [m] or [rad]."""
         squares = self.squares * self.freedom / rng.chisquare(self.freedom, count)
         return np.asarray(np.sqrt(np.maximum(squares - self.noise - self.model, 0.0)))
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What a region keeps within.
+    """The tolerance that a region keeps.
 
     Attributes:
         of: ``position`` or ``rotation``.
-        tolerance: Asked for, [m] or [rad]; None where nothing was.
+        tolerance: The campaign's tolerance, [m] or [rad]; None where it has none.
         bound: What 95 % of the region are within, with 95 % confidence; infinite where more than 5 % of it were not measured.
-        share: Of the region that is likely within the tolerance, 0 to 1; NaN without one.
-        confidence: That 95 % are; NaN without a tolerance.
+        share: Share of the region that is likely within the tolerance, 0 to 1; NaN without a tolerance.
+        confidence: Probability that 95 % of the region are within it; NaN without a tolerance.
         calibration: RMS length of the calibration's error over the part that was measured.
-        beyond: RMS length of what goes beyond it.
-        measured: Share of the region where anything like it was measured.
-        told: Share where the readings tell it.
-        rows: Rows that judge: those held out, if there are any.
+        beyond: RMS length of the error beyond that of the calibration.
+        measured: Share of the region where similar configurations were measured.
+        told: Share of the region where the readings tell the target.
+        rows: Number of rows that judge: the held-out ones, if there are any.
         held_out: False where no row was held out.
-        rows_within: How many of them are within the tolerance, the instrument's noise included.
-        rows_share: Share of such rows that is within at least, by these, with 95 % confidence (Clopper and Pearson 1934).
-        reasons: Why it is not within, in words; empty where it is, or where no tolerance was given.
-        remarks: What was assumed.
+        rows_within: Number of judging rows within the tolerance, the instrument's noise included.
+        rows_share: Share of such rows that is within at least, with 95 % confidence (Clopper and Pearson 1934).
+        reasons: Why the region is not within, in words; empty where it is, or where there is no tolerance.
+        remarks: Assumptions, in words.
     """
 
     of: str
@@ -125,7 +125,7 @@ class Kept:
 
     @property
     def judges(self) -> str:
-        """What the rows that judge are called."""
+        """The name of the rows that judge."""
         return "held-out rows" if self.held_out else "fitted rows"
 
     @property
@@ -142,20 +142,20 @@ class Kept:
 
 
 def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.ndarray:
-    """Noise of each channel per axis that may be blamed on the instrument, shape (C,); 0 where nothing says what it is.
+    """Noise of each channel per axis that may be blamed on the instrument, shape (C,); 0 where it is not declared.
 
-    It is what is declared, but no more than repeats scatter by, and nothing where the rows fit so well that what is declared
+    It is the declared noise, but no more than the scatter of repeats, and 0 where the rows fit so well that the declared noise
     cannot be true: an error of the robot would hide in it.
 
     Args:
         fit: The final model.
         rows: All rows.
-        repeats: Scatter of those that repeat a configuration, where there are any.
+        repeats: Scatter of rows that repeat a configuration, where there are any.
     """
-    stated = np.array([sigma or 0.0 for sigma in rows.sigma])
-    true = fit.estimated > stated * np.exp(-WORTH_SAYING)
-    most = np.inf if repeats is None else np.nan_to_num(repeats.sigma, nan=np.inf)
-    return np.where(true, np.minimum(stated, most), 0.0)
+    declared_sigma = np.array([sigma or 0.0 for sigma in rows.sigma])
+    true = fit.estimated > declared_sigma * np.exp(-WORTH_SAYING)
+    scatter = np.inf if repeats is None else np.nan_to_num(repeats.sigma, nan=np.inf)
+    return np.where(true, np.minimum(declared_sigma, scatter), 0.0)
 
 
 def beyond(
@@ -168,141 +168,145 @@ def beyond(
     tool: Sequence[float],
     turn: bool,
 ) -> Beyond | None:
-    """What rows that judge leave beyond the calibration; None where none tells.
+    """Error of the judging rows beyond the calibration; None where no row tells it.
 
     Of a point beside the target both the shift and the turn that explain a row count, together.
 
     Args:
         fit: The final model.
         rows: All N rows.
-        judging: Those that judge, shape (N,) bool.
+        judging: Rows that judge, shape (N,) bool.
         outlier: Flagged rows, shape (N,) bool.
-        residual: Measured minus predicted of all, shape (N, m).
+        residual: Measured minus predicted of all rows, shape (N, m).
         noise: See :func:`instrument_noise`.
         tool: The point, in the target's axes, [m].
-        turn: Of the rotation instead of the position.
+        turn: True for the rotation, False for the position.
     """
     flagged = np.full(int((judging & outlier).sum()), np.inf)
     judging = judging & ~outlier
-    own = rows.select(judging)
-    if not len(own):
+    judging_rows = rows.select(judging)
+    if not len(judging_rows):
         return None
-    asked = problem(fit.model, own).settled(fit.theta)
-    seen = at_target(fit, own)
+    fit_problem = problem(fit.model, judging_rows).settled(fit.theta)
+    view = at_target(fit, judging_rows)
     sigma = spread(noise, rows.channels)
-    size, squares, scatter, model, told = np.full((5, len(own)), np.nan)
-    left, declared = residual[judging], True
-    for block in asked.blocks():  # of all rows at once the covariances alone would take 288 bytes a row
-        covariance = asked.carried(fit.theta, fit.covariance, block)
-        arm = fit.model.poses(fit.theta, asked.rows[block])[0] @ np.asarray(tool, dtype=float)
-        for lever in seen.levers:
+    size, squares, scatter, model, ranks = np.full((5, len(judging_rows)), np.nan)
+    residuals, declared = residual[judging], True
+    for block in fit_problem.blocks():  # of all rows at once the covariances alone would take 288 bytes a row
+        covariance = fit_problem.carried(fit.theta, fit.covariance, block)
+        arm = fit.model.poses(fit.theta, fit_problem.rows[block])[0] @ np.asarray(tool, dtype=float)
+        for lever in view.levers:
             first, last = np.searchsorted(lever.rows, (block.start, block.stop))
-            some, here = lever.rows[first:last], lever.rows[first:last] - block.start
+            some, in_block = lever.rows[first:last], lever.rows[first:last] - block.start
             by = lever.turn[first:last]
             if not turn:
-                by = lever.shift[first:last] + np.cross(by, arm[here][:, :, None], axis=1)
+                by = lever.shift[first:last] + np.cross(by, arm[in_block][:, :, None], axis=1)
             rank = np.linalg.matrix_rank(by)
-            some, here, by, rank = some[rank > 0], here[rank > 0], by[rank > 0], rank[rank > 0]
+            some, in_block, by, rank = some[rank > 0], in_block[rank > 0], by[rank > 0], rank[rank > 0]
             if not len(some):
                 continue
             felt = np.abs(by).max(axis=(0, 1)) > 0.0
             declared &= bool(np.all(sigma[lever.part][felt] > 0.0))
-            off = np.einsum("nij,nj->ni", by, left[some, lever.part])
-            part = covariance[here][:, lever.part, lever.part]
-            size[some], told[some] = np.linalg.norm(off, axis=1), rank
+            off = np.einsum("nij,nj->ni", by, residuals[some, lever.part])
+            part = covariance[in_block][:, lever.part, lever.part]
+            size[some], ranks[some] = np.linalg.norm(off, axis=1), rank
             squares[some] = np.sum(off**2, axis=1)
             scatter[some] = np.sum((by * sigma[lever.part]) ** 2, axis=(1, 2))
             model[some] = np.einsum("nij,njk,nik->n", by, part, by)
-    there = np.isfinite(size)
-    if not there.any():
+    with_size = np.isfinite(size)
+    if not with_size.any():
         return None
-    count = float(told[there].sum())
-    per_row = squares[there] / told[there]
-    configurations = len(np.unique(own.repeats.configuration[there]))
+    count = float(ranks[with_size].sum())
+    per_row = squares[with_size] / ranks[with_size]
+    configurations = len(np.unique(judging_rows.repeats.configuration[with_size]))
     # Rows whose squares vary more than those of normal errors count for fewer, and repeats of a configuration for one.
     wild = max(
-        1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / there.sum() / 2.0
+        1.0, float(np.var(per_row) / max(np.mean(per_row) ** 2, np.finfo(float).tiny)) * count / with_size.sum() / 2.0
     )
     held_out = bool(rows.test[judging].any())
     if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
         return None
     free = 1.0 if held_out else fit.freedom / fit.numbers
     return Beyond(
-        squares=float(squares[there].sum() / count) / free,
-        noise=float(scatter[there].sum() / count) if declared else 0.0,
-        model=float(model[there].sum() / count) if held_out else 0.0,
-        freedom=free * count * configurations / there.sum() / wild,
-        size=np.concatenate([size[there], flagged]),
+        squares=float(squares[with_size].sum() / count) / free,
+        noise=float(scatter[with_size].sum() / count) if declared else 0.0,
+        model=float(model[with_size].sum() / count) if held_out else 0.0,
+        freedom=free * count * configurations / with_size.sum() / wild,
+        size=np.concatenate([size[with_size], flagged]),
         declared=declared,
         held_out=held_out,
     )
 
 
 def kept(
-    known: Knowledge,
+    known_model: Knowledge,
     region: Workspace,
     moves: tuple[np.ndarray, np.ndarray],
-    left: Beyond | None,
+    excess: Beyond | None,
     tolerance: float | None,
     turn: bool,
 ) -> Kept | None:
-    """What a region keeps within; None where no row tells anything of it.
+    """What a region keeps within; None where no row tells the error beyond the calibration.
 
     Args:
-        known: The calibration.
+        known_model: The calibrated model.
         region: The configurations, R of them.
         moves: Columns of the shift of a point on the target and of the turn, with the coefficients (R, 6, K) and with what is
             open (R, 6, D); see :meth:`Knowledge.columns`.
-        left: What rows leave beyond it.
-        tolerance: Asked for, [m] or [rad]; None where nothing is.
-        turn: Of the rotation instead of the position.
+        excess: Error of the rows beyond the calibration.
+        tolerance: [m] or [rad]; None where the campaign has none.
+        turn: True for the rotation, False for the position.
     """
-    if left is None:
+    if excess is None:
         return None
     part = slice(3, 6) if turn else slice(0, 3)
     rng = np.random.default_rng(0)
-    own, more = moves
-    off = _drawn(own[:, part], known.fit.covariance, rng) + _drawn(more[:, part], known.open, rng)
-    off += _beyond(left, off.shape, rng)
-    told = region.turns_told if turn else region.told
-    there = region.measured & told
-    length = np.where(there[:, None], np.linalg.norm(off, axis=1), np.inf)
-    reached = np.quantile(length, SHARE, axis=0, method="higher")
-    bound = float(np.quantile(reached, CONFIDENCE, method="higher"))
-    variance = np.einsum("nii->n", region.turns if turn else region.covariance)[there]
-    remarks = [] if left.declared else [UNKNOWN_NOISE]
-    if not left.held_out:
+    by_coefficients, by_open = moves
+    off = _drawn(by_coefficients[:, part], known_model.fit.covariance, rng) + _drawn(
+        by_open[:, part], known_model.open, rng
+    )
+    off += _beyond(excess, off.shape, rng)
+    determined = region.turns_told if turn else region.told
+    known_places = region.measured & determined
+    length = np.where(known_places[:, None], np.linalg.norm(off, axis=1), np.inf)
+    quantiles = np.quantile(length, SHARE, axis=0, method="higher")
+    bound = float(np.quantile(quantiles, CONFIDENCE, method="higher"))
+    variance = np.einsum("nii->n", region.turns if turn else region.covariance)[known_places]
+    remarks = [] if excess.declared else [UNKNOWN_NOISE]
+    if not excess.held_out:
         remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
-    found = Kept(
+    answer = Kept(
         of="rotation" if turn else "position",
         tolerance=tolerance,
         bound=bound,
         share=float("nan"),
         confidence=float("nan"),
-        calibration=float(np.sqrt(variance.mean())) if there.any() else float("nan"),
-        beyond=float(np.sqrt(AXES) * left.sigma),
+        calibration=float(np.sqrt(variance.mean())) if known_places.any() else float("nan"),
+        beyond=float(np.sqrt(AXES) * excess.sigma),
         measured=float(region.measured.mean()),
-        told=float(told.mean()),
-        rows=len(left.size),
-        held_out=left.held_out,
+        told=float(determined.mean()),
+        rows=len(excess.size),
+        held_out=excess.held_out,
         rows_within=0,
         rows_share=float("nan"),
         reasons=(),
         remarks=tuple(remarks),
     )
     if tolerance is None:
-        return found
-    seen = np.linalg.norm(off[there] + np.sqrt(left.noise) * rng.standard_normal(off[there].shape), axis=1)
-    usual = float(np.mean(seen > tolerance)) if there.any() else 1.0
-    within, count = int((left.size <= tolerance).sum()), len(left.size)
-    confidence = float(np.mean(reached <= tolerance))
-    reasons = [] if bound <= tolerance else [_why(found)]
+        return answer
+    with_noise = np.linalg.norm(
+        off[known_places] + np.sqrt(excess.noise) * rng.standard_normal(off[known_places].shape), axis=1
+    )
+    usual = float(np.mean(with_noise > tolerance)) if known_places.any() else 1.0
+    within, count = int((excess.size <= tolerance).sum()), len(excess.size)
+    confidence = float(np.mean(quantiles <= tolerance))
+    reasons = [] if bound <= tolerance else [_why(answer)]
     beyond = count - within
-    # so many or more by chance: the binomial tail (DLMF 8.17.5)
+    # probability of so many or more by chance: the binomial tail (DLMF 8.17.5)
     if beyond and betainc(beyond, within + 1, max(1.0 - SHARE, usual)) <= DOUBT:
-        reasons.append(f"{beyond} of {count} {found.judges} are off by more, which is more than this explains")
+        reasons.append(f"{beyond} of {count} {answer.judges} are off by more, which is more than this explains")
     return replace(
-        found,
+        answer,
         share=float(np.mean(length <= tolerance)),
         confidence=confidence,
         rows_within=within,
@@ -327,22 +331,22 @@ def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator
     return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
 
 
-def _beyond(left: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """What goes beyond the calibration, shape (R, 3, draws): normal along a direction drawn at each place.
 
     Joints that do not repeat, and most that a model lacks, move a place more one way than another, which nobody knows. Of all
     normal errors of one mean square those along one line have the longest tail: 95 % are within 1.96 of its roots, and within
     1.61 of those that go all ways alike.
     """
-    way = rng.standard_normal(shape)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    size = np.sqrt(AXES) * left.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
-    return np.asarray(way * size)
+    direction = rng.standard_normal(shape)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    size = np.sqrt(AXES) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
+    return np.asarray(direction * size)
 
 
-def _why(found: Kept) -> str:
+def _why(answer: Kept) -> str:
     """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
-    if np.isinf(found.bound):
-        return found.gap
-    unit = "mrad" if found.of == "rotation" else "mm"
-    return f"only {1e3 * found.bound:.3g} {unit} can be said with {100 * CONFIDENCE:.0f} % confidence"
+    if np.isinf(answer.bound):
+        return answer.gap
+    unit = "mrad" if answer.of == "rotation" else "mm"
+    return f"only {1e3 * answer.bound:.3g} {unit} can be said with {100 * CONFIDENCE:.0f} % confidence"

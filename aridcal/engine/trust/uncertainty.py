@@ -47,12 +47,12 @@ def precision(fit: Fit, train: Dataset) -> Precision:
 
 
 def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
-    r"""The same fit, its covariance that of the noise which the residuals show where they contradict a smaller declared one.
+    r"""The same fit, its covariance enlarged where the residuals contradict a smaller declared noise.
 
     .. math:: \Sigma + \Sigma \Big( \sum_c (s_c^2 - 1) A_c^T A_c / \sigma_c^2 \Big) \Sigma
 
-    with the columns A_c of channel c, its declared noise sigma_c, and s_c times that seen: the scatter of coefficients that
-    were found with other weights than the noise's own.
+    with the columns A_c of channel c, its declared noise sigma_c, and s_c the factor by which the residuals
+    exceed it: the scatter of coefficients that were fitted with other weights than those of the noise itself.
 
     Args:
         fit: A stage.
@@ -63,8 +63,8 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     if np.all(excess == 1.0):
         return fit
     equations = linearise(problem(fit.model, train, progress), fit.theta, fit.weight, fit.sigma).equations
-    more = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
-    return replace(fit, covariance=fit.covariance + fit.covariance @ more @ fit.covariance)
+    added = equations.information(fit.sigma / excess) - equations.information(fit.sigma)
+    return replace(fit, covariance=fit.covariance + fit.covariance @ added @ fit.covariance)
 
 
 def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
@@ -78,32 +78,32 @@ def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
     for start in range(0, len(rows), BLOCK):
         block = slice(start, start + BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
-        own = carried(J, fit.covariance) if local is None else local.carried(J, rows.phi[block], fit.covariance)
+        covariance = carried(J, fit.covariance) if local is None else local.carried(J, rows.phi[block], fit.covariance)
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
-            variance = np.linalg.eigvalsh(own[:, part, part])[:, -1]
+            variance = np.linalg.eigvalsh(covariance[:, part, part])[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))
     return worst[0], worst[1]
 
 
 def realigned(fit: Fit, other: Problem) -> np.ndarray:
-    """Residuals of other rows after fitting the two frames anew to them, all else as it was, shape (N, m), scaled.
+    """Scaled residuals of other rows after fitting the two frames anew to them, all else as before, shape (N, m).
 
-    What this takes away was changed by remounting the target or moving the tracker, not by the robot.
+    The error that this removes comes from remounting the target or moving the tracker, not from the robot.
     """
     theta = fit.theta.copy()
-    own = [c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients]
-    frames = np.flatnonzero(own)
+    of_frames = [c.where in ("world_base", "tip_target") and c.basis.constant for c in fit.model.coefficients]
+    frames = np.flatnonzero(of_frames)
     r = fit.residual
     other = other.settled(theta)
     for _ in range(REALIGN_STEPS):
-        here = linearise(other, theta, None, fit.sigma)
-        r = here.residual
-        H = here.equations.information(fit.sigma)[np.ix_(frames, frames)]
-        step = np.linalg.lstsq(H, here.equations.pull(fit.sigma)[frames], rcond=1e-12)[0]
+        linear = linearise(other, theta, None, fit.sigma)
+        r = linear.residual
+        H = linear.equations.information(fit.sigma)[np.ix_(frames, frames)]
+        step = np.linalg.lstsq(H, linear.equations.pull(fit.sigma)[frames], rcond=1e-12)[0]
         theta[frames] += step
         moved = np.zeros(len(theta))
         moved[frames] = step
-        other = other.stepped(here.step_of_groups(moved))
+        other = other.stepped(linear.step_of_groups(moved))
         if np.all(np.abs(step) < SETTLED):
             break
     return r

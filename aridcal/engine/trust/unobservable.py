@@ -1,4 +1,4 @@
-"""What no reading told of a calibration, in use: beside the model's own coefficients, and row by row."""
+"""Constants that no reading tells, in use: beside the model's own coefficients, and row by row."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tu
     Args:
         model: K coefficients.
         theta: Their values, shape (K,).
-        untold: Combinations that are as uncertain as they say; all else is held.
+        untold: Combinations, with the sigmas that they state; the model's own coefficients are held.
     """
-    others = {c for part in untold for c, _ in part} - set(model.coefficients)
-    every = (*model.coefficients, *sorted(others, key=lambda c: c.name))
-    place = {c: k for k, c in enumerate(every)}
-    ways = np.zeros((len(every), len(untold)))
+    extra = {c for part in untold for c, _ in part} - set(model.coefficients)
+    coefficients = (*model.coefficients, *sorted(extra, key=lambda c: c.name))
+    place = {c: k for k, c in enumerate(coefficients)}
+    factors = np.zeros((len(coefficients), len(untold)))
     for j, part in enumerate(untold):
         for c, value in part:
-            ways[place[c], j] = value
-    return model.with_coefficients(every), np.append(theta, np.zeros(len(others))), ways @ ways.T
+            factors[place[c], j] = value
+    return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
 def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:
-    """Rows of whose target all is told, shape (N,) bool.
+    """Rows at which the readings tell the target wholly, shape (N,) bool.
 
     Args:
-        model: Of the calibration.
-        theta: Its coefficients.
-        untold: What no reading told.
-        rows: N of them.
-        turns: Whether the target's rotation is asked about.
+        model: The model of a calibration.
+        theta: Its coefficients, shape (K,).
+        untold: Combinations of constants that no reading tells.
+        rows: N rows.
+        turns: Whether the target's rotation counts, too.
     """
     covariance = target_covariance(*with_untold(model, theta, untold), rows)
     parts = CHANNELS if turns else CHANNELS[:1]

@@ -87,11 +87,11 @@ class Wander:
     """One process that the zeros may follow.
 
     Attributes:
-        over: Whether it goes with the joint's ``own`` reading or with ``all`` of them.
-        length: How far it stays alike, [rad]; of a joint that slides :data:`TRAVEL` are all that was seen.
-        turning: Its sigma for a joint that turns, [rad].
-        sliding: For one that slides, [m].
-        probability: Of this process; what all of them lack to 1 is that of none.
+        over: Whether the process depends on the joint's ``own`` reading or on ``all`` readings.
+        length: Correlation length, [rad]; the measured travel of a joint that slides counts as :data:`TRAVEL`.
+        turning: Sigma of the zero of a joint that turns, [rad].
+        sliding: Sigma of the zero of a joint that slides, [m].
+        probability: Probability of this process; the rest to 1 is the probability that there is none.
     """
 
     over: Over
@@ -106,10 +106,10 @@ class Wandering:
     """Processes at some rows.
 
     Attributes:
-        processes: Those that are possible.
+        processes: The possible processes.
         readings: Shape (N, columns), [rad] or [m].
-        low: Of what the calibration saw, shape (columns,).
-        high: Likewise.
+        low: Lowest readings of the calibration, shape (columns,).
+        high: Highest readings, shape (columns,).
         joints: Columns of the readings that move each joint: one as a rule, none of a joint that stands still.
         slides: Whether each joint does, shape (joints,) bool.
     """
@@ -132,16 +132,16 @@ class Wandering:
     @cached_property
     def variance(self) -> np.ndarray:
         """Covariance of each joint's zero between rows, the mean over the processes, shape (joints, N, N)."""
-        found = np.zeros((len(self.joints), len(self.readings), len(self.readings)))
+        variance = np.zeros((len(self.joints), len(self.readings), len(self.readings)))
         for p in self.processes:
             sigma = np.where(self.slides, p.sliding, p.turning)
-            found += p.probability * (sigma**2)[:, None, None] * self._alike(p)
-        return found
+            variance += p.probability * (sigma**2)[:, None, None] * self._alike(p)
+        return variance
 
     def _alike(self, process: Wander) -> np.ndarray:
         """Correlation of a process between rows, less what a constant takes up over the range seen, shape (joints, N, N).
 
-        A zero that is off by the same anywhere was found by the calibration, and what has moved is a difference from that.
+        A zero that is off by the same everywhere was fitted by the calibration: the process is a difference from that.
         """
         unit = units(self.low, self.high, self.slides, self.joints) * process.length
         q = self.readings / unit
@@ -150,7 +150,9 @@ class Wandering:
         means = np.exp(-0.5 * (nodes[:, None] - nodes) ** 2).mean(axis=(0, 1))
         if process.over == "all":
             return np.repeat(_less_mean(q, to_mean, means)[None], len(self.joints), axis=0)
-        return np.stack([_less_mean(q[:, own], to_mean[:, own], means[own]) for own in map(list, self.joints)])
+        return np.stack(
+            [_less_mean(q[:, moving], to_mean[:, moving], means[moving]) for moving in map(list, self.joints)]
+        )
 
 
 def wandering(
@@ -159,37 +161,37 @@ def wandering(
     """Processes of a robot's zeros at some rows.
 
     Args:
-        processes: Those that are possible.
+        processes: The possible processes.
         robot: J joints.
         readings: Shape (N, columns).
-        ranges: What the calibration saw, by reading.
+        ranges: Lowest and highest value of each reading in the calibration.
     """
     low, high = np.array([ranges[name] for name in robot.readings]).T
     return Wandering(tuple(processes), readings, low, high, *_joints(robot))
 
 
 def _joints(robot: Robot) -> tuple[tuple[tuple[int, ...], ...], np.ndarray]:
-    """Columns of the readings that move each joint, and whether it slides."""
+    """Columns of the readings that move each joint, and whether the joint slides, shape (joints,) bool."""
     slides = np.array([joint.kind == "prismatic" for joint in robot.joints], dtype=bool)
     return tuple(tuple(map(robot.readings.index, joint.drive.factors)) for joint in robot.joints), slides
 
 
 def units(low: np.ndarray, high: np.ndarray, slides: np.ndarray, joints: Sequence[Sequence[int]]) -> np.ndarray:
-    """What counts as a radian of each column of readings, shape (columns,)."""
+    """Length of one radian, or of what counts as one for a joint that slides, in each column of readings, shape (columns,)."""
     unit = np.ones(len(low))
-    for own, slide in zip(joints, slides.tolist(), strict=True):
-        for column in own if slide else ():
+    for moving, slide in zip(joints, slides.tolist(), strict=True):
+        for column in moving if slide else ():
             unit[column] = max(float(high[column] - low[column]) / TRAVEL, 1e-9)
     return unit
 
 
 def _less_mean(q: np.ndarray, to_mean: np.ndarray, means: np.ndarray) -> np.ndarray:
-    """Correlation (N, N) of rows at q, shape (N, d), less that of each with the mean over a range.
+    """Correlation (N, N) of rows at q, shape (N, d), of a process whose mean over the range is taken off.
 
     Args:
-        q: In lengths.
-        to_mean: Of each row with the mean over each column's range, shape (N, d).
-        means: Of the mean with itself, shape (d,).
+        q: Readings in correlation lengths.
+        to_mean: Correlation of each row with the mean over each column's range, shape (N, d).
+        means: Correlation of that mean with itself, shape (d,).
     """
     of_row = to_mean.prod(axis=1)
     return np.asarray(_kernel(q, q) - of_row[:, None] - of_row + float(means.prod()))
@@ -208,7 +210,7 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
         fit: The final model, K coefficients.
         data: All rows but outliers, held-out rows among them: to these it is fitted once more, to first order.
         sigma: Their noise in each channel, shape (C,).
-        tails: Of each channel, if its noise has any: their scale takes the place of its sigma.
+        tails: Tails of each channel's noise, if it has any: their scale takes the place of its sigma.
         span: How long the arm is, [m]: what slides wanders by as much as the end of what turns.
     """
     robot = fit.model.robot
@@ -231,15 +233,15 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
         return []
     count = len(fit.theta)
     rows = replace(rows, J=rows.J[:, :, :count])
-    asked = _Asked(rows, fit.believed, Z)
+    projected = _ProjectedRows(rows, fit.believed, Z)
     readings = data.select(rows.rows).readings
     ends = readings.min(axis=0), readings.max(axis=0)
     q = readings / units(*ends, slides, joints)
     variances = np.array([0.0, *SHARES]) / mean
     logs = np.array(
-        [asked.likelihoods(_spans(over, length, q, joints), variances, freedom) for over, length in PROCESSES]
+        [projected.likelihoods(_spans(over, length, q, joints), variances, freedom) for over, length in PROCESSES]
     )
-    # None is one of them, whatever it would have gone with.
+    # "No process" is one hypothesis, not one for each of the processes.
     chance = np.exp(logs - logs.max())
     chance[1:, 0] = 0.0
     chance[0, 0] *= len(PROCESSES)
@@ -257,7 +259,7 @@ def wanders(fit: Fit, data: Dataset, sigma: np.ndarray, tails: Sequence[Tails | 
 
 
 def _weighed(rows: Columns, tails: Sequence[Tails | None]) -> Columns:
-    """Rows in units of what their own noise is expected to be, where it has tails."""
+    """Rows in units of the noise expected of each, in channels whose noise has tails."""
     root = np.ones(rows.r.shape)
     for channel, part, tail in zip(rows.channels, columns(rows.channels), tails, strict=True):
         if tail is not None:
@@ -266,11 +268,11 @@ def _weighed(rows: Columns, tails: Sequence[Tails | None]) -> Columns:
     return replace(rows, r=rows.r * root, J=rows.J * root[:, :, None], B=rows.B * root[:, :, None])
 
 
-class _Asked:
-    """Rows with the space taken off that their coefficients and things take up."""
+class _ProjectedRows:
+    """Rows in the space that their coefficients and things leave."""
 
     def __init__(self, rows: Columns, believed: np.ndarray, Z: np.ndarray) -> None:
-        """Take it off.
+        """Project the rows.
 
         Args:
             rows: N rows of m numbers.
@@ -279,8 +281,8 @@ class _Asked:
         """
         self._rows, self._things, self._Z = rows, rows.solved(), Z
         self._parts = _parts(np.any(Z, axis=1), rows.group)
-        told = np.array([rows.J[part].any(axis=(0, 1)) for part, _ in self._parts])
-        shared = np.sum(told | told @ (believed != 0.0), axis=0) > 1
+        touched = np.array([rows.J[part].any(axis=(0, 1)) for part, _ in self._parts])
+        shared = np.sum(touched | touched @ (believed != 0.0), axis=0) > 1
         H, g = rows.equations(self._things)
         H += believed
         self._own = np.zeros_like(H)  # covariance of the coefficients of one part each, those of several held
@@ -292,7 +294,7 @@ class _Asked:
         self._squares = float(np.sum(rows.r * self._left))
 
     def _less(self, values: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
-        """Numbers of some rows, (n, m, d), less what the things take up of them."""
+        """Right-hand sides of some rows, shape (n, m, d), less what the things take up of them."""
         nothing = np.zeros((len(self._rows.known.left), values.shape[2]))
         return self._rows.less(values, nothing, self._things, some)[0]
 
@@ -304,22 +306,25 @@ class _Asked:
             variances: Of the process.
             freedom: Numbers less what the coefficients spend.
         """
-        told, y, cross = map(
+        eigenvalues, y, cross = map(
             np.concatenate, zip(*(self._decomposed(*part, spans) for part in self._parts), strict=True)
         )
-        before, found = inverse(self._information), []
+        before, logs = inverse(self._information), []
         for variance in variances.tolist():
-            kept = variance / (1.0 + variance * told)
-            lost, pull = (cross.T * kept) @ cross, self._pull - cross.T @ (kept * y)
-            squares = self._squares - float(np.sum(kept * y**2) + pull @ solve(self._information - lost, pull))
-            size = float(np.sum(np.log1p(variance * told)) + np.linalg.slogdet(np.eye(len(lost)) - before @ lost)[1])
-            found.append(-0.5 * size - 0.5 * freedom * np.log(squares))
-        return np.array(found)
+            shrunk = variance / (1.0 + variance * eigenvalues)
+            by_process, pull = (cross.T * shrunk) @ cross, self._pull - cross.T @ (shrunk * y)
+            squares = self._squares - float(np.sum(shrunk * y**2) + pull @ solve(self._information - by_process, pull))
+            size = float(
+                np.sum(np.log1p(variance * eigenvalues))
+                + np.linalg.slogdet(np.eye(len(by_process)) - before @ by_process)[1]
+            )
+            logs.append(-0.5 * size - 0.5 * freedom * np.log(squares))
+        return np.array(logs)
 
     def _decomposed(
         self, rows: np.ndarray, joints: np.ndarray, spans: Sequence[np.ndarray]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A part: the d eigenvalues of what a process does to it, its pull and what it has to do with shared coefficients.
+        """One part of the rows: the d eigenvalues of a process there, its pull, and its products with the shared coefficients.
 
         Shapes are (d,), (d,) and (d, shared).
         """
@@ -328,17 +333,17 @@ class _Asked:
         less, F = self._less(F, rows).reshape(-1, F.shape[2]), F.reshape(-1, F.shape[2])
         with_coefficients = self._J[rows].reshape(len(F), -1).T @ F
         A = F.T @ less - with_coefficients.T @ self._own @ with_coefficients
-        told, V = np.linalg.eigh(0.5 * (A + A.T))
+        eigenvalues, V = np.linalg.eigh(0.5 * (A + A.T))
         y = V.T @ (F.T @ self._left[rows].ravel())
-        return np.maximum(told, 0.0), y, V.T @ (self._left_of_shared @ with_coefficients).T
+        return np.maximum(eigenvalues, 0.0), y, V.T @ (self._left_of_shared @ with_coefficients).T
 
 
 def _parts(moved: np.ndarray, group: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Rows that share joints or things with one another and none with others, and their joints: limbs, or all.
+    """Parts of the rows that have no joint and no thing in common, each with its joints: limbs, or all rows together.
 
     Args:
         moved: Which joints move which rows, shape (N, joints) bool.
-        group: Of each row's things, shape (N,); -1 for none.
+        group: Group of each row's things, shape (N,); -1 for none.
     """
     still = ~moved.any(axis=1, keepdims=True)
     row, shared = np.nonzero(np.hstack([moved, still, group[:, None] == np.arange(group.max() + 1)]))
@@ -354,15 +359,15 @@ def _spans(over: Over, length: float, q: np.ndarray, joints: Sequence[Sequence[i
     some = np.random.default_rng(0).permutation(len(q))[:CENTRES]
     if over == "all":
         return [_spanned(q / length, q[some] / length)] * len(joints)
-    found = []
+    spans = []
     for moving in map(list, joints):
-        own = q[:, moving] / length
-        nodes = own[some] if moving else own[:0]  # where a joint stands is a constant
+        q_joint = q[:, moving] / length
+        nodes = q_joint[some] if moving else q_joint[:0]  # where a joint stands is a constant
         if len(moving) == 1:
-            low, high = float(own.min()) - BEYOND, float(own.max()) + BEYOND
+            low, high = float(q_joint.min()) - BEYOND, float(q_joint.max()) + BEYOND
             nodes = np.linspace(low, high, int(np.ceil(high - low)) + 1)[:, None]
-        found.append(_spanned(own, nodes))
-    return found
+        spans.append(_spanned(q_joint, nodes))
+    return spans
 
 
 def _spanned(q: np.ndarray, nodes: np.ndarray) -> np.ndarray:

@@ -69,13 +69,13 @@ class Workspace:
     Attributes:
         rows: As the model sees them, M of them.
         readings: Shape (M, columns), [rad] or [m].
-        places: Of the target, or of the tool's point, in the base frame, shape (M, 3), [m].
-        covariance: Of that place, world axes, shape (M, 3, 3), [m²].
-        turns: Of the rotation vector, world axes, shape (M, 3, 3), [rad²].
+        places: Places of the target, or of the tool's point, in the base frame, shape (M, 3), [m].
+        covariance: Covariance of that place, world axes, shape (M, 3, 3), [m²].
+        turns: Covariance of the rotation vector, world axes, shape (M, 3, 3), [rad²].
         axes: Base axes in the world, shape (M, 3, 3).
         measured: False where nothing like it was measured: the model extrapolates there, shape (M,).
         told: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
-        turns_told: The same of the rotation.
+        turns_told: False where the rotation is not known, likewise, shape (M,).
     """
 
     rows: Rows
@@ -102,7 +102,7 @@ class Workspace:
 
     @property
     def way(self) -> np.ndarray:
-        """That direction, in base axes, its largest number positive, shape (M, 3)."""
+        """The worst direction of the position, in base axes, its largest number positive, shape (M, 3)."""
         return self._worst[1]
 
     @property
@@ -118,13 +118,13 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """A calibrated model, and what its rows told of it.
+    """A calibrated model, and how well its rows tell it.
 
     Attributes:
         fit: The stage.
-        wide: Its model with the constants that were not identified behind its own.
-        follows: What the coefficients take up of each of those, shape (K, D).
-        open: Covariance of what is left of these, shape (D, D).
+        wide: Its model, with the D constants that were not identified behind its own K coefficients.
+        follows: What the coefficients take up of each of the D constants, shape (K, D).
+        open: Covariance of the D constants beyond that: what no row tells, shape (D, D).
         seen: What the fitted rows were like.
     """
 
@@ -135,22 +135,22 @@ class Knowledge:
     seen: Seen
 
     def columns(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """How a point on the target moves, and the target turns, with the coefficients and with what is open.
+        """How a point on the target moves, and the target turns, with the coefficients and with the open constants.
 
         Args:
             rows: Of the fit's own model, N of them.
             tool: The point, in the target's axes, shape (3,), [m].
 
         Returns:
-            The point, world frame, shape (N, 3), [m]; columns of its shift and of the turn, shape (N, 6, K), and the same with
-            what is open, shape (N, 6, D).
+            The point, world frame, shape (N, 3), [m]; columns of its shift and of the turn with the coefficients,
+            shape (N, 6, K), and with the open constants, shape (N, 6, D).
         """
         count, extra = len(self.fit.theta), len(self.open)
         R, p, J = self.wide.jacobian(np.append(self.fit.theta, np.zeros(extra)), rows)
         arm = R @ tool
         J = shifted(J, arm)
-        own, more = J[:, :, :count], J[:, :, count:]
-        return p + arm, own, more - own @ self.follows
+        by_coefficients, by_open = J[:, :, :count], J[:, :, count:]
+        return p + arm, by_coefficients, by_open - by_coefficients @ self.follows
 
     def over(
         self, data: Dataset, readings: np.ndarray, like: np.ndarray, tool: Sequence[float] = (0.0, 0.0, 0.0)
@@ -160,7 +160,7 @@ class Knowledge:
         Args:
             data: The rows that were fitted.
             readings: Shape (M, columns), [rad] or [m].
-            like: Number of the row that each is like in all but its joints: station, target, temperature; shape (M,).
+            like: Number of the row whose conditions (station, target, temperature) each configuration has, shape (M,).
             tool: The point, in the target's axes, [m].
         """
         model = self.fit.model
@@ -170,34 +170,34 @@ class Knowledge:
         std, unknown = np.empty((len(rows), 6)), np.empty((2, len(rows)))
         for start in range(0, len(rows), BLOCK):
             some = slice(start, start + BLOCK)
-            p, known, left = self._spread(rows[some], np.asarray(tool, dtype=float))
-            every = known + left
+            p, by_coefficients, by_open = self._spread(rows[some], np.asarray(tool, dtype=float))
+            total = by_coefficients + by_open
             places[some] = np.einsum("nji,nj->ni", axes[some], p - origin[some])
-            covariance[some], turns[some] = every[:, :3, :3], every[:, 3:, 3:]
-            std[some] = np.sqrt(np.maximum(np.einsum("nii->ni", known), 0.0))
-            unknown[:, some] = [worst_direction(left[:, part, part])[0] for part in CHANNELS]
+            covariance[some], turns[some] = total[:, :3, :3], total[:, 3:, 3:]
+            std[some] = np.sqrt(np.maximum(np.einsum("nii->ni", by_coefficients), 0.0))
+            unknown[:, some] = [worst_direction(by_open[:, part, part])[0] for part in CHANNELS]
         columns = {name: values[like] for name, values in data.conditions.items()}
         columns |= dict(zip(model.robot.readings, readings.T, strict=True))
-        measured, told = ~self.seen.beyond(columns, std), unknown < TOLD
+        measured, determined = ~self.seen.beyond(columns, std), unknown < TOLD
         fields = [c.basis for c in model.coefficients if c.basis.form == "ball"]
         if fields:
             nominal = model.target_places(rows, readings)
             measured &= ~far_from_nodes(fields, nominal)
-        return Workspace(rows, readings, places, covariance, turns, axes, measured, *told)
+        return Workspace(rows, readings, places, covariance, turns, axes, measured, *determined)
 
     def _spread(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A point on the target as :meth:`columns` has it, and its covariance by the coefficients and by what is open."""
+        """A point on the target as :meth:`columns` has it, and its covariance by the coefficients and by the open constants."""
         local, extra = self.wide.local, len(self.open)
         if local is None:
-            p, own, more = self.columns(rows, tool)
-            return p, carried(own, self.fit.covariance), carried(more, self.open)
+            p, by_coefficients, by_open = self.columns(rows, tool)
+            return p, carried(by_coefficients, self.fit.covariance), carried(by_open, self.open)
         R, p, twists = self.wide.motions(np.append(self.fit.theta, np.zeros(extra)), rows)
         arm, covariance = R @ tool, np.pad(self.fit.covariance, (0, extra))
         twists = shifted(twists, arm)
-        # Only constants follow what is open: what acts in few rows has no part in it.
-        ways = np.vstack([-self.follows, np.eye(extra)])[local.plain]
-        more = twists[:, :, local.carrier[local.plain]] @ ways
-        return p + arm, local.carried(twists, rows.phi, covariance), carried(more, self.open)
+        # Only constants follow the open ones: coefficients that act in few rows have no part in it.
+        combinations = np.vstack([-self.follows, np.eye(extra)])[local.plain]
+        by_open = twists[:, :, local.carrier[local.plain]] @ combinations
+        return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
 
     def untold(self, rows: Rows, turns: bool) -> tuple[Untold, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
@@ -210,18 +210,18 @@ class Knowledge:
             return ()
         values, vectors = np.linalg.eigh(self.open)
         size = vectors * np.sqrt(np.maximum(values, 0.0))
-        more = self.columns(rows, np.zeros(3))[2][:, : 6 if turns else 3] @ size
-        _, _, ways = np.linalg.svd(more.reshape(-1, len(size)), full_matrices=False)
-        moves = np.linalg.norm((more @ ways.T).reshape(len(rows), -1, 3, len(ways)), axis=2).max(axis=(0, 1))
-        found = []
-        for way in ways[moves > FAINTLY * TOLD]:
-            theta = np.concatenate([-self.follows @ size @ way, size @ way])
+        by_open = self.columns(rows, np.zeros(3))[2][:, : 6 if turns else 3] @ size
+        _, _, axes = np.linalg.svd(by_open.reshape(-1, len(size)), full_matrices=False)
+        moves = np.linalg.norm((by_open @ axes.T).reshape(len(rows), -1, 3, len(axes)), axis=2).max(axis=(0, 1))
+        combinations = []
+        for axis in axes[moves > FAINTLY * TOLD]:
+            theta = np.concatenate([-self.follows @ size @ axis, size @ axis])
             of = zip(self.wide.coefficients, theta.tolist(), strict=True)
-            found.append(tuple((c, value) for c, value in of if value and c.basis.constant))
-        return tuple(found)
+            combinations.append(tuple((c, value) for c, value in of if value and c.basis.constant))
+        return tuple(combinations)
 
     def places(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> np.ndarray:
-        """Where the target is in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
+        """Places of the target in some configurations, in the base frame, shape (M, 3), [m]; see :meth:`over`."""
         places = np.empty((len(readings), 3))
         for part in blocks(len(readings)):
             rows = self._rows(data, readings[part], like[part])
@@ -231,7 +231,7 @@ class Knowledge:
         return places
 
     def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
-        """Other readings as the model sees them."""
+        """Rows of the model at other readings, under the conditions of the rows ``like``."""
         covariates = {name: values[like] for name, values in data.conditions.items()}
         station, target = (None if v is None else v[like] for v in (data.labels.station, data.labels.target))
         return self.fit.model.rows(readings, covariates, station, target)
@@ -251,9 +251,9 @@ def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         covariance: Shape (N, 3, 3).
     """
     values, vectors = np.linalg.eigh(covariance)
-    way = vectors[:, :, -1]
-    largest = np.abs(way).argmax(axis=1, keepdims=True)
-    return np.sqrt(np.maximum(values[:, -1], 0.0)), way * np.sign(np.take_along_axis(way, largest, axis=1))
+    worst = vectors[:, :, -1]
+    largest = np.abs(worst).argmax(axis=1, keepdims=True)
+    return np.sqrt(np.maximum(values[:, -1], 0.0)), worst * np.sign(np.take_along_axis(worst, largest, axis=1))
 
 
 def target_covariance(
@@ -264,22 +264,24 @@ def target_covariance(
     Args:
         model: K coefficients.
         theta: Their values, shape (K,).
-        covariance: Of them, shape (K, K).
+        covariance: Their covariance, shape (K, K).
         rows: N configurations.
         tool: A point that moves with the target, in its axes, shape (3,), [m], in place of its origin.
     """
-    found, local, chains = np.empty((len(rows), 6, 6)), model.local, model.chains(rows)
-    for of, chain, own, those in chains:
-        found[of] = target_covariance(chain, theta[own], covariance[np.ix_(own, own)], those, tool)
+    covariances, local, chains = np.empty((len(rows), 6, 6)), model.local, model.chains(rows)
+    for of, chain, of_chain, its_rows in chains:
+        covariances[of] = target_covariance(
+            chain, theta[of_chain], covariance[np.ix_(of_chain, of_chain)], its_rows, tool
+        )
     for some in [] if chains else few(len(rows)):
         R, _, J = (model.jacobian if local is None else model.motions)(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
-        found[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
-    return found
+        covariances[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
+    return covariances
 
 
 def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
-    """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): of a million rows the whole takes six times as much."""
+    """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): the whole would take six times the memory."""
     std = np.empty((len(rows), 6))
     for part in blocks(len(rows)):
         variance = np.einsum("nii->ni", target_covariance(model, theta, covariance, rows[part]))
@@ -295,76 +297,78 @@ def shifted(J: np.ndarray, arm: np.ndarray) -> np.ndarray:
 
 
 def knowledge(fit: Fit, train: Dataset, candidates: Sequence[Coefficient]) -> Knowledge:
-    """What the rows told of a calibrated model.
+    """How well the rows tell a calibrated model.
 
     Args:
         fit: The stage.
         train: The rows that it was fitted to.
-        candidates: All constants that were asked for; of those that the fit has not, some combinations may be open.
+        candidates: All constants that the campaign asks for; of those that the fit has not, some combinations may be open.
     """
     model, count = fit.model, len(fit.theta)
     names = set(model.names)
-    others = tuple(c for c in candidates if c.name not in names and c.basis.constant)
-    wide = model.with_coefficients((*model.coefficients, *others))
-    extra = len(others)
-    follows, left = np.zeros((count, extra)), np.zeros((extra, extra))
+    extra_constants = tuple(c for c in candidates if c.name not in names and c.basis.constant)
+    wide = model.with_coefficients((*model.coefficients, *extra_constants))
+    extra = len(extra_constants)
+    follows, open_covariance = np.zeros((count, extra)), np.zeros((extra, extra))
     if extra:
-        asked = problem(wide, train)
-        some = thin(asked.rows, ENOUGH, asked.groups)
+        wide_problem = problem(wide, train)
+        some = thin(wide_problem.rows, ENOUGH, wide_problem.groups)
         weight = fit.weight[some] * (len(train) / len(some))
         at = np.append(fit.theta, np.zeros(extra))
-        asked = asked if len(some) == len(asked) else asked.select(some)
-        H = linearise(asked, at, weight, fit.sigma).equations.information(fit.sigma)
-        own = np.flatnonzero([c.basis.constant for c in model.coefficients])
-        cross = H[own][:, count:]
-        follows[own] = solve(H[np.ix_(own, own)], cross)
-        rest = H[count:, count:] - cross.T @ follows[own]
-        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        wide_problem = wide_problem if len(some) == len(wide_problem) else wide_problem.select(some)
+        H = linearise(wide_problem, at, weight, fit.sigma).equations.information(fit.sigma)
+        constants = np.flatnonzero([c.basis.constant for c in model.coefficients])
+        cross = H[constants][:, count:]
+        follows[constants] = solve(H[np.ix_(constants, constants)], cross)
+        remaining = H[count:, count:] - cross.T @ follows[constants]
+        values, vectors = np.linalg.eigh(0.5 * (remaining + remaining.T))
         size = wide.sizes[count:]
-        left = np.linalg.inv(vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2))
-    found = Knowledge(fit, wide, follows, left, _seen(fit, train))
+        open_covariance = np.linalg.inv(
+            vectors * np.maximum(values, 0.0) @ vectors.T + np.diag(1.0 / (LOOSE * size) ** 2)
+        )
+    result = Knowledge(fit, wide, follows, open_covariance, _coverage(fit, train))
     conventions = [] if has_world(train) else ["world_base"]
     conventions += [] if measures_target(train) else ["tip_target"]
-    return _up_to(conventions, found, train) if conventions else found
+    return _less_frames(conventions, result, train) if conventions else result
 
 
-def _up_to(frames: Sequence[str], known: Knowledge, train: Dataset) -> Knowledge:
-    """The same without what is as if a frame were elsewhere.
+def _less_frames(frames: Sequence[str], known_model: Knowledge, train: Dataset) -> Knowledge:
+    """The same knowledge without open motions that only shift a frame.
 
-    Where no instrument knows the world, the base is where the calibration has it by convention; so is the tip where cameras see
-    all, whose own mounting takes up what the last link is off by.
+    Where no instrument knows the world, the base is where the calibration has it by convention; so is the tip where cameras
+    measure everything, whose own mounting takes up the error of the last link.
     """
-    model, count = known.fit.model, len(known.fit.theta)
+    model, count = known_model.fit.model, len(known_model.fit.theta)
     some = np.unique(np.linspace(0, len(train) - 1, ASKED).round().astype(int))
     part = train.select(some)
     rows = rows_of_data(model, part)
     rigid = [Coefficient(frame, component) for frame in frames for component in FRAME_COMPONENTS]
     moved = model.with_coefficients((*model.coefficients, *rigid))
-    _, _, J = moved.jacobian(np.append(known.fit.theta, np.zeros(len(rigid))), rows)
-    _, _, more = known.columns(rows, np.zeros(3))
+    _, _, J = moved.jacobian(np.append(known_model.fit.theta, np.zeros(len(rigid))), rows)
+    _, _, by_open = known_model.columns(rows, np.zeros(3))
     moves = J[:, :, count:].reshape(-1, len(rigid))
-    size = known.wide.sizes[count:]
-    flat = more.reshape(len(moves), -1) * (LOOSE * size)
+    size = known_model.wide.sizes[count:]
+    flat = by_open.reshape(len(moves), -1) * (LOOSE * size)
     _, values, V = np.linalg.svd(flat - moves @ np.linalg.lstsq(moves, flat, rcond=None)[0])
     matters = np.zeros(len(V), dtype=bool)
     matters[: len(values)] = values > FELT * np.sqrt(len(moves))
-    kept = size[:, None] * (V[matters].T @ V[matters]) / size
-    return replace(known, open=kept @ known.open @ kept.T)
+    projector = size[:, None] * (V[matters].T @ V[matters]) / size
+    return replace(known_model, open=projector @ known_model.open @ projector.T)
 
 
-def _seen(fit: Fit, train: Dataset) -> Seen:
-    """What the rows in use were like."""
-    used = train.select(~fit.outliers)
+def _coverage(fit: Fit, train: Dataset) -> Seen:
+    """Ranges, holes and largest uncertainty of the fitted rows without outliers."""
+    inliers = train.select(~fit.outliers)
     model = fit.model
-    columns = dict(zip(model.robot.readings, used.readings.T, strict=True))
-    columns |= {name: used.conditions[name] for name in model.needs}
-    rows = rows_of_data(model, used)
+    columns = dict(zip(model.robot.readings, inliers.readings.T, strict=True))
+    columns |= {name: inliers.conditions[name] for name in model.needs}
+    rows = rows_of_data(model, inliers)
     rows = rows[thin(rows, ENOUGH)]
     std = target_std(model, fit.theta, fit.covariance, rows)
-    if not used.sees_turns:  # that of a target whose rotation was never measured says nothing
+    if not inliers.sees_turns:  # that of a target whose rotation was never measured says nothing
         std[:, 3:] = np.inf
     ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
-    gaps = {name: found for name, v in columns.items() if (found := holes(v))}
+    gaps = {name: gap for name, v in columns.items() if (gap := holes(v))}
     return Seen(ranges, gaps, largest(std))
 
 
@@ -386,17 +390,17 @@ def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.nd
 
 
 def ends(data: Dataset, limits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest readings of the joints' whole range, shape (columns,) each; what was seen where there is no limit.
+    """Lowest and highest readings of the joints' whole range, shape (columns,) each; those of the rows where there is no limit.
 
-    Of a joint that turns further than once, the turn around what was seen: beyond it the geometry repeats.
+    A joint that turns further than once has the one turn around its readings: beyond it the geometry repeats.
 
     Args:
         data: Rows.
-        limits: Of the columns, shape (columns, 2), infinite where there are none.
+        limits: Limits of the columns, shape (columns, 2), infinite where there are none.
     """
-    seen = np.stack([data.readings.min(axis=0), data.readings.max(axis=0)], axis=1)
-    low, high = np.where(np.isfinite(limits), limits, seen).T
+    measured = np.stack([data.readings.min(axis=0), data.readings.max(axis=0)], axis=1)
+    low, high = np.where(np.isfinite(limits), limits, measured).T
     turning = np.array([kind != "prismatic" for kind in data.kinds])
-    half = np.where(turning, np.maximum(np.pi, np.ptp(seen, axis=1) / 2), np.inf)
-    middle = seen.mean(axis=1)
+    half = np.where(turning, np.maximum(np.pi, np.ptp(measured, axis=1) / 2), np.inf)
+    middle = measured.mean(axis=1)
     return np.maximum(low, middle - half), np.minimum(high, middle + half)

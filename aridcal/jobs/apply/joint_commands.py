@@ -32,46 +32,45 @@ from aridcal.system.progress import SILENT, Progress
 if TYPE_CHECKING:
     import pandas as pd
 
-STILL = 1e-6
+LEAST_MOTION = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
 RESTARTS = 30
-"""Starts that are tried for a pose that comes without a seed, or with one that leads nowhere, until one ends inside the ranges
-seen."""
+"""Starts for a pose without a seed, or with one that leads nowhere, until one ends inside the measured ranges."""
 TURN = 2.0 * math.pi
 """Once round, [rad]."""
-GENTLE = 0.02
-"""[m/rad]: what turns the target by less than so much is not corrected by a table: that is close to a singularity."""
-GENTLE_STEPS = 4
+DAMPING = 0.02
+"""[m/rad]: a table does not correct along directions that move the target by less: there a singularity is near."""
+DAMPED_STEPS = 4
 """Newton's steps to a table's corrections; they are a thousandth of the joints' range, so that two would do."""
 MOST_POINTS = 1_000_000
-"""Of a table: more make no table that a controller could hold."""
-CHECKED = 300
+"""Points of a table at the most: no controller could hold more."""
+CHECK_POINTS = 300
 """Configurations between its points at which a table is checked."""
 
 
 Told = Callable[[int], None]
-"""Called with the number of rows that are done."""
+"""Gets the number of rows that are done."""
 
 
 def unheard(rows: int) -> None:
-    """Where nobody watches."""
+    """Ignore the number of rows that are done."""
 
 
 def compensate(
-    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, told: Told = unheard
+    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: Told = unheard
 ) -> pd.DataFrame:
     """Fill in the joint commands for each row of wanted poses.
 
     Args:
         saved: The model.
         query: N rows, read with the calibration's own `measurements` settings and ``poses=True``.
-        trajectory: What the rows before them have come to, where these are a stretch of a longer table.
-        told: Of the rows that are done.
+        trajectory: The walk through the rows before these, where these are a stretch of a longer table.
+        report: Called with the number of rows that are done.
 
     Returns:
         The query's table with the joints, ``reached``, ``position_error``, ``rotation_error`` and ``extrapolates``, N
         rows; a row that lacks a number has no command. Joints of other limbs stay where the table, or the row before, has
-        them: at first in the middle of what was seen. Those that no command moves get no column.
+        them: at first in the middle of their ranges. Joints that no command moves get no column.
 
     Raises:
         CovariateNotFound: an effect depends on a column that is not there.
@@ -79,8 +78,8 @@ def compensate(
     """
     settings, robot = saved.measurements, saved.final.model.robot
     units = settings.units
-    found, covariates = (trajectory or Trajectory(saved)).follow(query, told)
-    readings = np.array([command.readings for command in found])
+    commands, covariates = (trajectory or Trajectory(saved)).follow(query, report)
+    readings = np.array([command.readings for command in commands])
     table = query.table.copy()
     cells = counting(settings, robot.readings, robot.kinds).cells(readings)
     names = [settings.columns.get(name, name) for name in robot.readings]
@@ -88,17 +87,17 @@ def compensate(
         table[names[k]] = cells[:, k]
     for name in directions(saved):
         table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
-    table["reached"] = [command.reached for command in found]
-    table["position_error"] = [command.position_error / units.metres for command in found]
+    table["reached"] = [command.reached for command in commands]
+    table["position_error"] = [command.position_error / units.metres for command in commands]
     if saved.turns:
-        table["rotation_error"] = [command.rotation_error / units.radians for command in found]
+        table["rotation_error"] = [command.rotation_error / units.radians for command in commands]
     commanded = replace(query, readings=readings, covariates=covariates)
     table["extrapolates"] = extrapolates(saved, commanded, std_of(saved, commanded))
     return with_told(saved, commanded, table)
 
 
 def moved(saved: SavedModel) -> np.ndarray:
-    """Columns that commands set, for one target or another, shape (columns,) bool."""
+    """Columns of readings that commands set, for any of the targets, shape (columns,) bool."""
     model = saved.final.model
     if len(model.routes) == 1:
         return at_any_station(saved).model.moves
@@ -113,7 +112,7 @@ def follow(saved: SavedModel, query: Query) -> tuple[list[Command], dict[str, np
 
 
 class Trajectory:
-    """Rows commanded one after the other, stretch after stretch: each starts where the one before has come to.
+    """Rows commanded one after the other, stretch after stretch: each starts where the one before ended.
 
     Args:
         saved: The model.
@@ -124,7 +123,7 @@ class Trajectory:
         self._walks = _Walk(saved), _Walk(saved)
         self._sides = {name: (0.0, math.nan) for name in directions(saved)}
 
-    def follow(self, query: Query, told: Told = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
+    def follow(self, query: Query, report: Told = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
         """Command the rows of one more stretch.
 
         Returns:
@@ -136,30 +135,30 @@ class Trajectory:
         guessed = {name: np.where(np.isnan(side), 0.0, side) for name, side in sides.items()}
         covariates = query.covariates | guessed
         first, second = self._walks
-        commands = first.commands(query, covariates, told)
+        commands = first.commands(query, covariates, report)
         readings = np.array([command.readings for command in commands])
         derived = {name: self._approach(name, readings) for name in sides}
         if not any(np.isnan(side).any() for side in sides.values()):
             return commands, covariates
         covariates |= {name: np.where(np.isnan(side), derived[name], side) for name, side in sides.items()}
-        return second.commands(replace(query, readings=readings), covariates, told), covariates
+        return second.commands(replace(query, readings=readings), covariates, report), covariates
 
     def _approach(self, name: str, readings: np.ndarray) -> np.ndarray:
         """The side from which a joint comes to its place, shape (N,)."""
         robot = self._saved.final.model.robot
-        own = robot.positions(readings)[:, robot.names.index(name.removesuffix("_direction"))]
+        positions = robot.positions(readings)[:, robot.names.index(name.removesuffix("_direction"))]
         side, last = self._sides[name]
-        found = approach(own, STILL, side, last)
-        known = own[~np.isnan(own)]
-        self._sides[name] = float(found[-1]), float(known[-1]) if len(known) else last
-        return found
+        sides = approach(positions, LEAST_MOTION, side, last)
+        finite = positions[~np.isnan(positions)]
+        self._sides[name] = float(sides[-1]), float(finite[-1]) if len(finite) else last
+        return sides
 
 
 class _Walk:
     """One command for each row, each starting from its seed or where the row before ended.
 
-    Rows without a seed may change to another branch to stay inside the ranges seen, and those whose seed leads nowhere to reach
-    the pose at all.
+    Rows without a seed may change to another branch to stay inside the measured ranges, and rows whose seed leads nowhere to
+    reach the pose at all.
     """
 
     def __init__(self, saved: SavedModel) -> None:
@@ -167,11 +166,11 @@ class _Walk:
         self._saved, self._stations = saved, per_station(model)
         self._needs, self._needed = at_any_station(saved).model.needs, needed_of(saved)
         self._labels = labels_of(c.basis for c in model.coefficients)
-        self._seen = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
-        self._last, self._rng = self._seen.mean(axis=1), np.random.default_rng(0)
+        self._ranges = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
+        self._last, self._rng = self._ranges.mean(axis=1), np.random.default_rng(0)
 
-    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], told: Told) -> list[Command]:
-        """Of one more stretch of rows."""
+    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], report: Told) -> list[Command]:
+        """Command the rows of one more stretch."""
         missing = sorted(self._needed - covariates.keys())
         if missing:
             raise CovariateNotFound(
@@ -183,81 +182,81 @@ class _Walk:
         R = np.zeros((len(usable), 3, 3))
         if query.quaternion is not None and usable.any():
             R[usable] = Rotation.from_quat(query.quaternion[usable]).as_matrix()
-        nothing = Command(np.full(len(self._seen), np.nan), math.nan, math.nan, False)
-        found = []
+        nothing = Command(np.full(len(self._ranges), np.nan), math.nan, math.nan, False)
+        commands = []
         for k in range(len(usable)):
-            told(k)
+            report(k)
             if not usable[k]:
-                found.append(nothing)
+                commands.append(nothing)
                 continue
             labels = (None if of is None or not self._stations else str(of[k]) for of in (query.station, query.target))
             inverse = self._saved.inverse_kinematics(*labels)
-            given = {name: float(covariates[name][k]) for name in (*self._needs, *self._labels)}
-            own = query.readings[k]
-            seed = np.where(np.isnan(own), self._last, own)
-            best = inverse.command(R[k], query.position[k], seed, given)
-            if np.isnan(own[inverse.model.moves]).any() or not best.reached:
-                best = _searched(inverse, R[k], query.position[k], given, self._seen, self._rng, best)
+            values = {name: float(covariates[name][k]) for name in (*self._needs, *self._labels)}
+            seed_cells = query.readings[k]
+            seed = np.where(np.isnan(seed_cells), self._last, seed_cells)
+            best = inverse.command(R[k], query.position[k], seed, values)
+            if np.isnan(seed_cells[inverse.model.moves]).any() or not best.reached:
+                best = _inside_ranges(inverse, R[k], query.position[k], values, self._ranges, self._rng, best)
             self._last = best.readings
-            found.append(best)
-        return found
+            commands.append(best)
+        return commands
 
 
-def _searched(
+def _inside_ranges(
     inverse: InverseKinematics,
     R: np.ndarray,
     p: np.ndarray,
     covariates: Mapping[str, float],
-    seen: np.ndarray,
+    ranges: np.ndarray,
     rng: np.random.Generator,
-    found: Command,
+    best: Command,
 ) -> Command:
-    """A command that reaches a pose inside the ranges seen, where the model is known; else the best that was found.
+    """A command that reaches a pose inside the measured ranges; else the best of all that were tried.
 
-    Starts are the command there is, joints that left the ranges turned back by whole turns; the middle of the ranges; and
-    places drawn evenly over them.
+    Starts are the first command, joints outside the ranges turned back by whole turns; the middle of the ranges; and
+    readings drawn evenly over them.
 
     Args:
-        inverse: What is commanded.
+        inverse: The solver.
         R: Wanted rotation, shape (3, 3).
         p: Wanted position, shape (3,), [m].
-        covariates: What the effects depend on.
-        seen: Lowest and highest reading of each joint, shape (columns, 2), [rad] or [m].
+        covariates: Values of the covariates of the effects.
+        ranges: Lowest and highest reading of each joint, shape (columns, 2), [rad] or [m].
         rng: Draws the starts.
-        found: The command that the search from the row before ended in.
+        best: The first command, which started from the row before.
     """
 
     def preferred(command: Command) -> tuple[bool, float, float]:
         """Sorts commands, the best first: those that reach the pose, those that miss it least, the nearest to the ranges."""
-        outside = _outside(command.readings[moves], seen[moves])
+        outside = _outside(command.readings[moves], ranges[moves])
         return not command.reached, 0.0 if command.reached else command.miss, outside
 
     moves = inverse.model.moves
-    middle = np.where(moves, seen.mean(axis=1), found.readings)
-    turns = np.where(inverse.turning & moves, np.round((middle - found.readings) / TURN), 0.0)
-    starts = (found.readings + TURN * turns, middle)
+    middle = np.where(moves, ranges.mean(axis=1), best.readings)
+    turns = np.where(inverse.turning & moves, np.round((middle - best.readings) / TURN), 0.0)
+    starts = (best.readings + TURN * turns, middle)
     for k in range(-len(starts), RESTARTS):
-        if found.reached and _outside(found.readings[moves], seen[moves]) == 0.0:
-            return found
-        start = starts[k] if k < 0 else np.where(moves, rng.uniform(seen[:, 0], seen[:, 1]), found.readings)
-        found = min(found, inverse.command(R, p, start, covariates), key=preferred)
-    return found
+        if best.reached and _outside(best.readings[moves], ranges[moves]) == 0.0:
+            return best
+        start = starts[k] if k < 0 else np.where(moves, rng.uniform(ranges[:, 0], ranges[:, 1]), best.readings)
+        best = min(best, inverse.command(R, p, start, covariates), key=preferred)
+    return best
 
 
-def _outside(readings: np.ndarray, seen: np.ndarray) -> float:
+def _outside(readings: np.ndarray, ranges: np.ndarray) -> float:
     """How far readings (columns,) are outside ranges (columns, 2), all joints together, [rad] or [m]; 0 inside."""
-    return float(np.maximum(np.maximum(seen[:, 0] - readings, readings - seen[:, 1]), 0.0).sum())
+    return float(np.maximum(np.maximum(ranges[:, 0] - readings, readings - ranges[:, 1]), 0.0).sum())
 
 
 @dataclass(frozen=True)
 class CorrectionTable:
-    """What to add to the nominal solution, over a grid of the joints.
+    """Corrections to add to the nominal solution, over a grid of the joints.
 
     Attributes:
         axes: Points of each reading, [rad] or [m].
         delta: Correction at each point, shape (points of axis 1, ..., columns), [rad] or [m].
-        before: RMS distance of the target from where the nominal model has it, between the points, [m].
-        after: The same with the table's correction, interpolated linearly.
+        before: RMS distance of the target from that of the nominal model, between the points, [m].
+        after: That distance with the table's correction, interpolated linearly.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -275,7 +274,7 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
 
     Args:
         saved: The model.
-        points: Of the grid, along each joint, over the range that the calibration has seen.
+        points: Of the grid, along each joint, over the measured range.
         progress: Told how many points are done.
 
     Raises:
@@ -284,17 +283,17 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
     model = saved.final.model
     if per_station(model):
         raise AridcalError("a correction table holds for one place: this calibration has frames per station")
-    known = {*saved.ranges, *directions(saved)}
-    unseen = [name for name in (*model.robot.readings, *model.needs) if name not in known]
+    ranged = {*saved.ranges, *directions(saved)}
+    unseen = [name for name in (*model.robot.readings, *model.needs) if name not in ranged]
     if unseen:
         raise AridcalError(
             f"the calibration does not say in which range {unseen[0]} was measured: run `aridcal identify` again"
         )
     inverse = saved.inverse_kinematics()
-    seen = np.array([saved.ranges[name] for name in model.robot.readings])
+    ranges = np.array([saved.ranges[name] for name in model.robot.readings])
     held = ~inverse.model.moves
-    seen[held] = seen[held].mean(axis=1, keepdims=True)
-    axes = tuple(np.linspace(low, high, points if high > low else 1) for low, high in seen)
+    ranges[held] = ranges[held].mean(axis=1, keepdims=True)
+    axes = tuple(np.linspace(low, high, points if high > low else 1) for low, high in ranges)
     sizes = [len(axis) for axis in axes]
     if math.prod(sizes) > MOST_POINTS:
         raise AridcalError(f"--grid {points}: would have more than {MOST_POINTS:,} points; take fewer")
@@ -305,14 +304,14 @@ def correction_table(saved: SavedModel, points: int, progress: Progress = SILENT
 
     grid = np.array(list(product(*axes)))
     R, p = nominal.poses(np.zeros(0), nominal.rows(grid))
-    every = progress.through(zip(R, p, grid, strict=True), len(grid), "points")
-    corrections = [_gentle(inverse, *wanted, middle) for wanted in every]
+    poses_and_readings = progress.through(zip(R, p, grid, strict=True), len(grid), "points")
+    corrections = [_gentle(inverse, *wanted_pose, middle) for wanted_pose in poses_and_readings]
     delta = np.array(corrections).reshape(*sizes, -1)
 
-    between = np.random.default_rng(0).uniform(seen[:, 0], seen[:, 1], (CHECKED, len(seen)))
+    between = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (CHECK_POINTS, len(ranges)))
     corrected = between + _interpolated(axes, delta, between)
-    _, wanted = nominal.poses(np.zeros(0), nominal.rows(between))
-    before, after = (_rms_distance(inverse, readings, middle, wanted) for readings in (between, corrected))
+    _, positions = nominal.poses(np.zeros(0), nominal.rows(between))
+    before, after = (_rms_distance(inverse, readings, middle, positions) for readings in (between, corrected))
     return CorrectionTable(axes, delta, before, after)
 
 
@@ -333,12 +332,12 @@ def _interpolated(axes: tuple[np.ndarray, ...], delta: np.ndarray, readings: np.
 
 
 def _rms_distance(
-    inverse: InverseKinematics, readings: np.ndarray, covariates: Mapping[str, float], wanted: np.ndarray
+    inverse: InverseKinematics, readings: np.ndarray, covariates: Mapping[str, float], positions: np.ndarray
 ) -> float:
     """RMS distance of the target from wanted positions (N, 3) at some readings (N, columns), [m]."""
     machine = inverse.model
     at = np.array([machine.pose(q, machine.effects(q, covariates))[1] for q in readings])
-    squared = np.sum((at - wanted) ** 2, axis=1)
+    squared = np.sum((at - positions) ** 2, axis=1)
     return float(np.sqrt(np.mean(squared)))
 
 
@@ -347,12 +346,12 @@ def _gentle(
 ) -> np.ndarray:
     """Correction that brings the target near a pose without large moves, shape (columns,).
 
-    Gauss-Newton on |e(q + delta)|^2 + GENTLE^2 |delta|^2, with the error e and its Jacobian J:
-    (J' J + GENTLE^2 I) delta_new = J' (e + J delta).
+    Gauss-Newton on |e(q + delta)|^2 + DAMPING^2 |delta|^2, with the error e and its Jacobian J:
+    (J' J + DAMPING^2 I) delta_new = J' (e + J delta).
     """
     delta = np.zeros(len(q))
-    for _ in range(GENTLE_STEPS):
+    for _ in range(DAMPED_STEPS):
         e, J = inverse.error(R, p, q + delta, covariates)
-        H = J.T @ J + GENTLE**2 * np.eye(len(q))
+        H = J.T @ J + DAMPING**2 * np.eye(len(q))
         delta = np.linalg.solve(H, J.T @ (e + J @ delta))
     return delta

@@ -17,23 +17,23 @@ from aridcal.system.reading.dialect import PLAIN, Dialect
 from aridcal.system.reading.regular_files import MEGA, TABLE, Limit
 from aridcal.system.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 
-STRETCH = 2_000_000
+STRETCH_BYTES = 2_000_000
 """Bytes of csv that are read together: some 18,000 rows of six joints, which take fifty times as much while they are
 predicted. A shorter file is one stretch: whatever is asked of a table as a whole is asked of it."""
 
-WRITTEN = 18
+NUMBER_BYTES = 18
 """Bytes of a number in csv, by which a stretch of parquet has as many rows."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Some rows of a table, and how far they reach.
+    """Some rows of a table, and their place in it.
 
     Attributes:
         table: The rows; their lines are those of the whole file.
-        before: Bytes of csv, or rows of another table, before them.
-        done: The same with them.
-        total: Of all.
+        before: Bytes of csv, or rows of another table, before the stretch.
+        done: Bytes or rows up to its end.
+        total: Bytes or rows of the whole table.
     """
 
     table: Table
@@ -43,7 +43,7 @@ class Stretch:
 
     @property
     def last(self) -> bool:
-        """True if no more follow."""
+        """True for the last stretch."""
         return self.done == self.total
 
     def share(self, rows: int) -> float:
@@ -57,29 +57,29 @@ def stretches(
     """Read a table a stretch at a time; a short one, a DataFrame, or one that is no plain csv, as a whole.
 
     Args:
-        table: Where the rows are.
-        limit: How large it may be.
-        dialect: How it is written, if it is not plain.
-        needed: Columns of one that is plain all the same.
+        table: The table.
+        limit: Its largest size.
+        dialect: How it is written, if it is not plain csv.
+        needed: Columns by which a file is known to be plain csv all the same.
 
     Raises:
         MeasurementError: as :func:`read_tables`.
     """
     path = Path(table) if isinstance(table, str | Path) else None
-    found: Iterator[Stretch] = iter(())
+    parts: Iterator[Stretch] = iter(())
     whole_file = dialect != PLAIN and path is not None and path.suffix.lower() != ".parquet"
     if (
         path is not None
         and not whole_file
         and path.is_file()
-        and STRETCH < path.stat().st_size <= limit.megabytes * MEGA
+        and STRETCH_BYTES < path.stat().st_size <= limit.megabytes * MEGA
     ):
         sorts = {".csv": _of_csv, ".parquet": _of_parquet}
-        found = sorts[path.suffix.lower()](path, limit) if path.suffix.lower() in sorts else found
+        parts = sorts[path.suffix.lower()](path, limit) if path.suffix.lower() in sorts else parts
     names = None
-    for stretch in found:
+    for stretch in parts:
         names = names or stretch.table.names
-        if stretch.table.names != names:  # one that has no name is left out where it is empty
+        if stretch.table.names != names:  # a column without a name is left out where it is empty
             line = int(stretch.table.line[0])
             raise MeasurementError(f"{path}: from line {line} on, a column has cells and no name: name it in line 1")
         yield stretch
@@ -94,7 +94,7 @@ def _of_csv(path: Path, limit: Limit) -> Iterator[Stretch]:
     with path.open("rb") as file:
         header = file.readline()
         done = len(header)
-        while block := file.read(STRETCH):
+        while block := file.read(STRETCH_BYTES):
             block += file.readline()
             first, done = done, done + len(block)
             if not block.isspace():
@@ -105,7 +105,7 @@ def _of_csv(path: Path, limit: Limit) -> Iterator[Stretch]:
 def _table_of_csv(content: bytes, path: Path, before: int, limit: Limit) -> Table:
     """Lines of a csv file below its header, after so many others."""
     try:
-        read = read_csv(content, path, limit)
+        file_cells = read_csv(content, path, limit)
     except MeasurementError:
         if (
             before
@@ -114,12 +114,12 @@ def _table_of_csv(content: bytes, path: Path, before: int, limit: Limit) -> Tabl
             if whole.refused:
                 raise MeasurementError(f"{path}: {whole.refused[0]}; mend the file") from None
         raise
-    refused = [Remark(path.name, row.line + before, "", row.text, row.why) for row in read.broken]
-    return _table(path, read.cells, read.line + before, refused)
+    refused = [Remark(path.name, row.line + before, "", row.text, row.why) for row in file_cells.broken]
+    return _table(path, file_cells.cells, file_cells.line + before, refused)
 
 
 def _of_parquet(path: Path, limit: Limit) -> Iterator[Stretch]:
-    """Stretches of rows; of what is no parquet, or has words, which may be far larger in memory than in the file, none."""
+    """Stretches of rows; none of a file that is no parquet, or has words, which may be far larger in memory than in the file."""
     try:
         file = pa.parquet.ParquetFile(path)
     except (pa.ArrowException, OSError):
@@ -131,7 +131,7 @@ def _of_parquet(path: Path, limit: Limit) -> Iterator[Stretch]:
             return
         check_header(names, path)
         check_size(path, total, len(names), limit)
-        for batch in file.iter_batches(max(STRETCH // (WRITTEN * max(len(names), 1)), 1), columns=names):
+        for batch in file.iter_batches(max(STRETCH_BYTES // (NUMBER_BYTES * max(len(names), 1)), 1), columns=names):
             first, done = done, done + len(batch)
             if len(batch):
                 line = np.arange(first, done) + FIRST_LINE

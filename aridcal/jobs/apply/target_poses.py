@@ -1,4 +1,4 @@
-"""Where the real target is, through the whole calibrated model, written as the campaign's own tables are."""
+"""Poses of the real target by the whole calibrated model, written as the campaign's own tables are."""
 
 from __future__ import annotations
 
@@ -53,14 +53,14 @@ def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query
 
 
 def nothing_usable(refused: Sequence[Remark], poses: bool) -> MeasurementError:
-    """What is said of a table without a usable row."""
+    """The error for a table without a usable row."""
     return MeasurementError(
         f"no row can be {'commanded' if poses else 'predicted'}. First: {refused[0]}; mend the table"
     )
 
 
 def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, Stretch]]:
-    """The same a stretch at a time, so that a table of any length takes little memory: a long one is checked by stretches.
+    """Read a query a stretch at a time: a table of any length takes little memory, and a long one is checked by stretches.
 
     Args:
         saved: The model.
@@ -68,7 +68,7 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
         poses: As for :func:`read_query`.
 
     Yields:
-        The rows of a stretch, and where it lies.
+        The rows of a stretch, and the stretch.
 
     Raises:
         MeasurementError: as :func:`read_query`.
@@ -118,17 +118,17 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
 
 
 def _as_nights_count(saved: SavedModel, query: Query) -> Query:
-    """A query whose times of day count on from midnight as those of the calibration do, where its rows passed it."""
-    seen = saved.seen
-    if CLOCK not in query.covariates or CLOCK not in seen:
+    """A query whose times of day count on after midnight where those of the calibration do."""
+    ranges = saved.seen
+    if CLOCK not in query.covariates or CLOCK not in ranges:
         return query
-    return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *seen[CLOCK])})
+    return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *ranges[CLOCK])})
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
-    """A query with 0, the middle, for each side of approach that the calibration had from the order of its rows.
+    """A query with 0, the middle, for each side of approach that the calibration derived from the order of its rows.
 
-    Rows that ask for poses need not be in the order in which a robot takes them, so that theirs says nothing.
+    Rows of a query need not be in the order in which a robot takes them, so that their order says nothing.
     """
     absent = [name for name in saved.record.get("derived_columns", ()) if name not in query.covariates]
     why = "is not given: the middle between the two sides of approach is predicted"
@@ -143,18 +143,18 @@ def at_any_station(saved: SavedModel) -> InverseKinematics:
 
 
 def needed_of(saved: SavedModel) -> set[str]:
-    """Columns that rows must have beside the joints; those that only rivals depend on may be missing."""
+    """Columns that rows must have beside the joints; columns that only rivals depend on may be missing."""
     return set(at_any_station(saved).model.needs) - saved.assumed.keys()
 
 
 def directions(saved: SavedModel) -> tuple[str, ...]:
     """Approach directions that the effects depend on, ``joint_2_direction`` for instance."""
-    known = {f"{name}_direction" for name in saved.final.model.robot.names}
-    return tuple(name for name in at_any_station(saved).model.needs if name in known)
+    names = {f"{name}_direction" for name in saved.final.model.robot.names}
+    return tuple(name for name in at_any_station(saved).model.needs if name in names)
 
 
 def per_station(model: Model) -> bool:
-    """True where a frame is one for each station, so that rows must say at which they are."""
+    """True where there is a frame for each station or target, so that rows must name theirs."""
     return len(model.world_base) > 1 or len(model.tip_target) > 1
 
 
@@ -173,39 +173,39 @@ def predict(saved: SavedModel, query: Query) -> pd.DataFrame:
         CovariateNotFound: an effect depends on a column that is not there.
         MeasurementError: a row's station is none of those that were calibrated.
     """
-    known = query.usable
-    covariates = {name: values[known] for name, values in query.covariates.items()}
-    labels = query.labels(known)
-    R, p = saved.expected.poses(query.readings[known], saved.completed(covariates, int(known.sum())), *labels)
+    usable = query.usable
+    covariates = {name: values[usable] for name, values in query.covariates.items()}
+    labels = query.labels(usable)
+    R, p = saved.expected.poses(query.readings[usable], saved.completed(covariates, int(usable.sum())), *labels)
     R[np.isnan(p).any(axis=1)] = np.nan
 
     std = std_of(saved, query)
-    told = np.hypot(std, np.sqrt(np.maximum(np.einsum("nii->ni", between_rivals(saved, query)), 0.0)))
+    total_std = np.hypot(std, np.sqrt(np.maximum(np.einsum("nii->ni", between_rivals(saved, query)), 0.0)))
 
     settings, joints = saved.measurements, saved.final.model.robot.readings
-    filled = pose_columns(R, p, settings, joints) | std_columns(told[known], settings, joints)
+    filled = pose_columns(R, p, settings, joints) | std_columns(total_std[usable], settings, joints)
     stale = _pose_names(settings, joints) - set(filled)
     table = query.table.drop(columns=list(stale), errors="ignore")
     for name, values in filled.items():
         column = np.full(len(table), np.nan)
-        column[known] = values
+        column[usable] = values
         table[name] = column
     table["extrapolates"] = extrapolates(saved, query, std)
     return with_told(saved, query, table)
 
 
 def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFrame:
-    """A query's table with ``told``, where the calibration has something that no reading told.
+    """A query's table with a column ``told``, where the calibration has combinations of constants that no reading tells.
 
-    False where that may move the target, or turn it, by more than 10 mm or 10 mrad.
+    False in rows where these may move the target by more than 10 mm, or turn it by more than 10 mrad.
     """
     if saved.untold:
-        final, known = saved.final, query.usable & np.isfinite(query.readings).all(axis=1)
-        covariates = {name: values[known] for name, values in query.covariates.items()}
-        rows = final.model.rows(query.readings[known], covariates, *query.labels(known))
-        told = np.zeros(len(known), dtype=bool)
-        told[known] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
-        table["told"] = told
+        final, usable = saved.final, query.usable & np.isfinite(query.readings).all(axis=1)
+        covariates = {name: values[usable] for name, values in query.covariates.items()}
+        rows = final.model.rows(query.readings[usable], covariates, *query.labels(usable))
+        determined = np.zeros(len(usable), dtype=bool)
+        determined[usable] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
+        table["told"] = determined
     return table
 
 
@@ -255,7 +255,7 @@ def _std_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> tuple[
 
 
 def _pose_names(settings: MeasurementSettings, joints: tuple[str, ...]) -> set[str]:
-    """Columns that hold an orientation or a pose's standard deviations: of another pose, unless they are written anew."""
+    """Columns of an orientation or of standard deviations: they belong to another pose, unless they are written anew."""
     plain = {*QUATERNION, *STD} - {*joints, *settings.columns.values()}
     mapped = {*(column_of(name, settings, joints) for name in QUATERNION), *_std_names(settings, joints)}
     return plain | mapped | set(orientation_columns(settings, joints))
@@ -266,7 +266,7 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
 
     Args:
         R: Shape (N, 3, 3).
-        settings: Say which way.
+        settings: The way and the units.
 
     Returns:
         Euler angles or rotation vectors, shape (N, 3), matrices row by row, shape (N, 9), or unit quaternions qx qy qz qw
@@ -275,8 +275,8 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
     """
     spec = settings.orientation
     radians = [settings.units.scale(name, "angle") for name in spec.angles or ()]
-    known = ~np.isnan(R).any(axis=(1, 2))
-    rotation = Rotation.from_matrix(R[known], assume_valid=True)
+    finite = ~np.isnan(R).any(axis=(1, 2))
+    rotation = Rotation.from_matrix(R[finite], assume_valid=True)
     if spec.euler:
         with warnings.catch_warnings():  # scipy's remark on angles that are not unique
             warnings.simplefilter("ignore", UserWarning)
@@ -287,24 +287,25 @@ def orientations(R: np.ndarray, settings: MeasurementSettings) -> np.ndarray:
         numbers = rotation.as_matrix().reshape(-1, 9)
     else:
         numbers = rotation.as_quat(canonical=True)
-    every = np.full((len(R), numbers.shape[1]), np.nan)
-    every[known] = numbers
-    return every
+    columns = np.full((len(R), numbers.shape[1]), np.nan)
+    columns[finite] = numbers
+    return columns
 
 
 def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
     """Standard deviations of the target's pose, shape (N, 6); NaN where unknown.
 
-    As :meth:`SolvedModel.std` has them, and what heat may do beyond the temperatures seen (:func:`growth`).
+    They are those of :meth:`SolvedModel.std` together with the growth by heat outside the measured temperatures
+    (:func:`growth`).
 
     Args:
         saved: The model.
-        query: N rows; those without a number that is needed have none.
+        query: N rows; rows that lack a needed number have none.
     """
-    known = query.usable & np.isfinite(query.readings).all(axis=1)
-    covariates = {name: values[known] for name, values in query.covariates.items()}
-    std = np.full((len(known), 6), np.nan)
-    std[known] = saved.final.std(query.readings[known], covariates, *query.labels(known))
+    usable = query.usable & np.isfinite(query.readings).all(axis=1)
+    covariates = {name: values[usable] for name, values in query.covariates.items()}
+    std = np.full((len(usable), 6), np.nan)
+    std[usable] = saved.final.std(query.readings[usable], covariates, *query.labels(usable))
     std[:, :3] = np.hypot(std[:, :3], growth(saved, query)[:, None])
     return std
 
@@ -312,8 +313,8 @@ def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None = None) -> np.ndarray:
     """Covariance of the target's pose between the causes that the rows could not tell apart, shape (N, 6, 6); NaN where unknown.
 
-    See :func:`aridcal.engine.trust.rival_predictions.between`. It marks no row: rows of which a rival says something else
-    are like those seen.
+    See :func:`aridcal.engine.trust.rival_predictions.between`. No row extrapolates because of it: where rivals differ, rows
+    may well be like the fitted ones.
 
     Args:
         saved: The model.
@@ -322,20 +323,20 @@ def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None 
     """
     if not saved.rivals:
         return np.zeros((len(query.line), 6, 6))
-    known = query.usable & np.isfinite(query.readings).all(axis=1)
-    covariates = {name: values[known] for name, values in query.covariates.items()}
-    final, seen = saved.final, saved.seen
-    found, labels = np.full((len(known), 6, 6), np.nan), query.labels(known)
-    found[known] = between(
-        final.model, final.theta, saved.rivals, query.readings[known], covariates, labels, seen, tool
+    usable = query.usable & np.isfinite(query.readings).all(axis=1)
+    covariates = {name: values[usable] for name, values in query.covariates.items()}
+    final, ranges = saved.final, saved.seen
+    covariance, labels = np.full((len(usable), 6, 6), np.nan), query.labels(usable)
+    covariance[usable] = between(
+        final.model, final.theta, saved.rivals, query.readings[usable], covariates, labels, ranges, tool
     )
-    return found
+    return covariance
 
 
 def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
-    """1-sigma per axis of how much the arm has grown by heat that no row of the calibration saw, shape (N,), [m].
+    """1-sigma per axis of the arm's growth by heat outside the measured temperatures, shape (N,), [m].
 
-    Of the arm's length, along one direction that nobody knows: a third of its square for each axis.
+    It goes with the arm's length, along an unknown direction: each axis has a third of the square.
     """
     if not query.covariates:
         return np.zeros(len(query.line))
@@ -343,10 +344,10 @@ def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
 
 
 def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:
-    """Rows that are not like those that the calibration has seen, shape (N,).
+    """Rows that are unlike the fitted ones, shape (N,) bool.
 
-    See :meth:`aridcal.engine.trust.coverage.Seen.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`; and far from
-    all places that a field is known at, or of a label that is none of those that deviate, each by itself.
+    See :meth:`aridcal.engine.trust.coverage.Seen.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`. Further rows are
+    those far from all nodes of a field in space, and those with another label than the effects by label have.
 
     Args:
         saved: The model.
@@ -354,20 +355,20 @@ def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.nda
         std: See :func:`std_of`.
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
-    seen = Seen(saved.ranges, saved.holes, saved.largest_std)
-    beyond = seen.beyond(query.covariates | readings, std)
-    beyond |= elsewhere(query.covariates | readings, saved.recorded)
-    beyond |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated
-    beyond |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(beyond))
-    known = query.usable & np.isfinite(query.readings).all(axis=1)
-    beyond[known] |= _far(saved, query, known)
-    return beyond
+    coverage = Seen(saved.ranges, saved.holes, saved.largest_std)
+    unlike = coverage.beyond(query.covariates | readings, std)
+    unlike |= elsewhere(query.covariates | readings, saved.recorded)
+    unlike |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated
+    unlike |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(unlike))
+    usable = query.usable & np.isfinite(query.readings).all(axis=1)
+    unlike[usable] |= _far(saved, query, usable)
+    return unlike
 
 
 def evenly(saved: SavedModel) -> pd.DataFrame:
-    """Configurations evenly over the ranges of the joints that were seen, as a table of the campaign's own columns and units.
+    """Configurations evenly over the measured ranges of the joints, as a table in the campaign's own columns and units.
 
-    What else the model depends on is in the middle of what was seen, the station the first one.
+    Covariates are in the middle of their ranges, and the station is the first one.
     """
     model, settings = saved.final.model, saved.measurements
     robot = model.robot
@@ -411,17 +412,17 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
             "`tool`: only the target's position was measured, and nothing is known of a point beside it: measure poses, or put "
             "the target where the tool works"
         )
-    known = query.usable
-    covariates = {name: values[known] for name, values in query.covariates.items()}
+    usable = query.usable
+    covariates = {name: values[usable] for name, values in query.covariates.items()}
     final = saved.final
-    rows = final.model.rows(query.readings[known], covariates, *query.labels(known))
+    rows = final.model.rows(query.readings[usable], covariates, *query.labels(usable))
     covariance = target_covariance(final.model, final.theta, final.covariance, rows, np.asarray(tool, dtype=float))
-    covariance[:, :3, :3] += growth(saved, query)[known, None, None] ** 2 * np.eye(3)
-    covariance += between_rivals(saved, query, np.asarray(tool, dtype=float))[known]
-    sigma, way = worst_direction(covariance[:, :3, :3])
+    covariance[:, :3, :3] += growth(saved, query)[usable, None, None] ** 2 * np.eye(3)
+    covariance += between_rivals(saved, query, np.asarray(tool, dtype=float))[usable]
+    sigma, direction = worst_direction(covariance[:, :3, :3])
     columns = {
         "sigma_mm": 1e3 * sigma,
-        **dict(zip(("worst_x", "worst_y", "worst_z"), way.T, strict=True)),
+        **dict(zip(("worst_x", "worst_y", "worst_z"), direction.T, strict=True)),
         "rms_mm": 1e3 * np.sqrt(np.maximum(np.einsum("nii->n", covariance[:, :3, :3]), 0.0)),
     }
     if saved.turns:
@@ -429,17 +430,17 @@ def uncertainty(saved: SavedModel, query: Query, tool: Sequence[float]) -> pd.Da
     table = query.table.copy()
     for name, values in columns.items():
         table[name] = np.full(len(table), np.nan)
-        table.loc[known, name] = values
+        table.loc[usable, name] = values
     table["extrapolates"] = extrapolates(saved, query, std_of(saved, query))
     return with_told(saved, query, table)
 
 
-def _far(saved: SavedModel, query: QueryRows, known: np.ndarray) -> np.ndarray:
-    """Rows, of those that are known, whose target is far from all places that a field in space is known at."""
-    model, readings = saved.final.model, query.readings[known]
+def _far(saved: SavedModel, query: QueryRows, usable: np.ndarray) -> np.ndarray:
+    """True for usable rows whose target is far from all nodes of a field in space, shape (usable rows,)."""
+    model, readings = saved.final.model, query.readings[usable]
     bases = [c.basis for c in model.coefficients if c.basis.form == "ball"]
     if not bases:
         return np.zeros(len(readings), dtype=bool)
-    covariates = {name: values[known] for name, values in query.covariates.items()}
-    rows = model.rows(readings, covariates, *query.labels(known))
+    covariates = {name: values[usable] for name, values in query.covariates.items()}
+    rows = model.rows(readings, covariates, *query.labels(usable))
     return far_from_nodes(bases, model.target_places(rows, readings))

@@ -1,4 +1,4 @@
-"""What `calibration.yaml` must look like: every key, type and length, so that a damaged file is refused by its line."""
+"""The format of `calibration.yaml`: every key, type and length, so that a damaged file is refused by its line."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from aridcal.files.yaml_file import LARGEST, Number, Section, Settings, Vector3,
 from aridcal.system.errors import CampaignError, has_controls
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
 
-UNIT = 1e-6
-"""How far from 1 the norm of a quaternion may be that was written with all its digits."""
+NORM_SLACK = 1e-6
+"""Difference from 1 that the norm of a quaternion written with all its digits may have."""
 
 NOT_OURS = "Run `aridcal identify` again: this file was not written by this version, or was changed since"
 
@@ -38,13 +38,13 @@ class RobotPart(Section):
     urdf_sha256: str
     urdf_encoding: Literal["utf-8", "latin-1"]
     joints: dict[str, Number] = Field(default_factory=dict)
-    """Where joints without a column stand."""
+    """Positions of joints without a column, [rad] or [m]."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
     """Factors of joints that follow several others."""
     limbs: tuple[str, ...] = ()
     """Further links to which paths lead from the base."""
     routes: tuple[tuple[str | None, str | None], ...] = ((None, None),)
-    """Paths that rows took: from a link, or the world, to a link, or the tip."""
+    """Paths of the rows: from a link, or the world, to a link, or the tip."""
     targets: dict[str, str] = Field(default_factory=dict)
     """Links that carry targets, by the targets' labels."""
     urdf: str
@@ -82,7 +82,7 @@ class FramePart(Section):
     @field_validator("quaternion")
     @classmethod
     def _unit(cls, quaternion: tuple[float, ...]) -> tuple[float, ...]:
-        if not abs(np.linalg.norm(quaternion) - 1) <= UNIT:
+        if not abs(np.linalg.norm(quaternion) - 1) <= NORM_SLACK:
             raise ValueError("should be a quaternion of norm 1")
         return quaternion
 
@@ -100,11 +100,11 @@ class PayloadPart(Section):
     at: Vector3
     on: str
     name: str
-    """Of its covariate."""
+    """Name of its covariate."""
 
 
 class LoadsPart(Section):
-    """What the loads on the joints need."""
+    """Gravity and payloads, for the loads on the joints."""
 
     gravity: Vector3 | tuple[Vector3, ...]
     payload_at: Vector3 = (0.0, 0.0, 0.0)
@@ -113,9 +113,9 @@ class LoadsPart(Section):
     payloads: tuple[PayloadPart, ...] = ()
     """In place of that one, where there are several."""
     payload: bool = False
-    """Older files have none: there it never counted."""
+    """Whether a payload counts; older files do not have the key: there none counted."""
     targets: tuple[Vector3, ...] = ()
-    """Places on the tip from which it is told where the targets are; none where nothing depends on that."""
+    """Places on the tip by which effects know where the targets are; none where no effect depends on that."""
 
 
 class BasisPart(Section):
@@ -135,7 +135,7 @@ class BasisPart(Section):
 
     @property
     def function(self) -> Basis:
-        """The basis; what is 1 in all rows depends on nothing, though files of versions before named a covariate."""
+        """The basis; the constant 1 depends on nothing, though files of older versions named a covariate."""
         return ALWAYS if self.form == ALWAYS.form else Basis(self.form, self.of, self.numbers)
 
 
@@ -193,14 +193,14 @@ class SolvedPart(Section):
 
 
 class NoisePart(Section):
-    """Per axis."""
+    """Noise per axis, [m] and [rad]."""
 
     position: Annotated[float, Field(ge=0, le=LARGEST)]
     rotation: Annotated[float, Field(ge=0, le=LARGEST)]
 
 
 class LargestPart(Section):
-    """Of predictions at the fitted rows; infinite where it is not known."""
+    """Largest standard deviation of predictions at the fitted rows, [m] and [rad]; infinite where it is not known."""
 
     position: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
     rotation: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
@@ -256,8 +256,8 @@ class CalibrationDocument(Settings):
     rivals: tuple[RivalPart, ...] = ()
 
 
-ROUNDED = 1e-9
-"""By which a sum of probabilities may be more than 1."""
+SUM_SLACK = 1e-9
+"""Excess over 1 that a sum of probabilities may have by rounding."""
 
 
 class TailsPart(Section):
@@ -268,7 +268,7 @@ class TailsPart(Section):
 
 
 class ScatterPart(Section):
-    """Of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
+    """Scatter of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
 
     sigma: Annotated[float, Field(gt=0, le=LARGEST)]
     freedom: Annotated[float, Field(gt=0, allow_inf_nan=True)]
@@ -282,26 +282,26 @@ class WanderPart(Section):
     length: Annotated[float, Field(gt=0, le=LARGEST)]
     turning: Annotated[float, Field(ge=0, le=LARGEST)]
     sliding: Annotated[float, Field(ge=0, le=LARGEST)]
-    probability: Annotated[float, Field(gt=0, le=1.0 + ROUNDED)]
+    probability: Annotated[float, Field(gt=0, le=1.0 + SUM_SLACK)]
 
 
 class Record(Section):
-    """What is kept beside the model and read by some command."""
+    """Keys beside the model that some command reads."""
 
     campaign: str = ""
     derived_columns: tuple[str, ...] = ()
     frames_by: FramesBy = "station"
     """Column that says which frames a row has, where there are several."""
     scatter: dict[Literal["position", "rotation"], ScatterPart] = Field(default_factory=dict)
-    """What new rows are set beside; older files have none."""
+    """Scatter that new rows are compared with; older files have none."""
     scatter_of_kinds: dict[str, dict[str, ScatterPart]] = Field(default_factory=dict)
-    """The same of other kinds of measurements, by kind and channel."""
+    """Scatter of other kinds of measurements, by kind and channel."""
     wander: tuple[WanderPart, ...] = ()
-    """What the model may leave that neighbouring places share; older files have none."""
+    """Processes that joint zeros may follow from place to place; older files have none."""
 
     @model_validator(mode="after")
     def _sum(self) -> Record:
-        if sum(process.probability for process in self.wander) > 1.0 + ROUNDED:
+        if sum(process.probability for process in self.wander) > 1.0 + SUM_SLACK:
             raise ValueError("wander: probabilities of more than 1 in all")
         return self
 
@@ -310,7 +310,7 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
     """Read and check `calibration.yaml`.
 
     Returns:
-        What a model is made of, and what the file says besides.
+        The keys of the model, and all other keys.
 
     Raises:
         CampaignError: naming the file, the line and the key.
@@ -320,33 +320,33 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
         keys, lines = parse_yaml(text, path)
         if keys.get("format") != 1:
             raise CampaignError(f"{path}: `format: 1` expected on top")
-        known = CalibrationDocument.model_fields.keys() - {"limits"}
-        record = {key: value for key, value in keys.items() if key not in known}
-        read = {key: value for key, value in record.items() if key in Record.model_fields}
-        validated(read, lines, path, Record)
-        own = {key: value for key, value in keys.items() if key in known}
-        return validated(own, lines, path, CalibrationDocument), record
+        model_keys = CalibrationDocument.model_fields.keys() - {"limits"}
+        record = {key: value for key, value in keys.items() if key not in model_keys}
+        checked = {key: value for key, value in record.items() if key in Record.model_fields}
+        validated(checked, lines, path, Record)
+        of_model = {key: value for key, value in keys.items() if key in model_keys}
+        return validated(of_model, lines, path, CalibrationDocument), record
     except CampaignError as problem:
         raise CampaignError(f"{problem}. {NOT_OURS}") from None
 
 
-def untold_document(untold: Sequence[Untold]) -> list[list[dict[str, Any]]]:
-    """Combinations of constants that no reading told, as plain data."""
+def untold_document(combinations: Sequence[Untold]) -> list[list[dict[str, Any]]]:
+    """Combinations of constants that no reading tells, as plain data."""
     return [
         [{"where": c.where, "component": c.component, "station": c.station, "value": value} for c, value in part]
-        for part in untold
+        for part in combinations
     ]
 
 
 def untold_of(document: CalibrationDocument) -> tuple[Untold, ...]:
-    """What :func:`untold_document` wrote."""
+    """Combinations from what :func:`untold_document` wrote."""
     return tuple(
         tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold
     )
 
 
 def rivals_document(rivals: Sequence[Rival]) -> list[dict[str, Any]]:
-    """What the rows could not tell from the effects, as plain data."""
+    """Causes that the rows could not tell from the effects, as plain data."""
     return [
         {
             "effect": rival.effect,
@@ -372,7 +372,7 @@ def rivals_document(rivals: Sequence[Rival]) -> list[dict[str, Any]]:
 
 
 def rivals_of(document: CalibrationDocument) -> tuple[Rival, ...]:
-    """What :func:`rivals_document` wrote."""
+    """Causes from what :func:`rivals_document` wrote."""
     return tuple(
         Rival(
             rival.effect,

@@ -23,7 +23,7 @@ class ClosedForm:
         nominal: ``d theta beta a alpha`` of each link, shape (4, 5), [m] and [rad].
         links: Likewise, from the closed form.
         full: Likewise, of the geometric stage.
-        residual: What the closed form leaves of all rows, shape (N, 6), [m] and [rad].
+        residual: Measured minus predicted of all rows by the closed form, shape (N, 6), [m] and [rad].
     """
 
     nominal: np.ndarray
@@ -32,7 +32,7 @@ class ClosedForm:
     residual: np.ndarray
 
 
-def closed_form(geometric: Fit, rows: Dataset, used: np.ndarray) -> ClosedForm | None:
+def closed_form(geometric: Fit, rows: Dataset, some: np.ndarray) -> ClosedForm | None:
     """Solve for the links as Doty (1992) does: lengths and offsets from x and y, then psi from the matrix E.
 
     Doty (1992) takes base and camera as known: here they are where the geometric stage has them.
@@ -40,7 +40,7 @@ def closed_form(geometric: Fit, rows: Dataset, used: np.ndarray) -> ClosedForm |
     Args:
         geometric: The geometric stage.
         rows: N measured poses.
-        used: Those to solve from, shape (N,) bool; Doty (1992) wants two, three are needed, all are taken.
+        some: Rows to solve from, shape (N,) bool; Doty (1992) wants two, three are needed, all are taken.
 
     Returns:
         Its links beside those of the full solution; None for an arm of another build, or with poses too much alike.
@@ -48,10 +48,10 @@ def closed_form(geometric: Fit, rows: Dataset, used: np.ndarray) -> ClosedForm |
     model, robot = geometric.model, geometric.model.robot
     if rows.rotation is None or len(model.world_base) + len(model.tip_target) > 2:
         return None
-    links = links_from_poses(robot, tip_poses(model, rows)[used], rows.readings[used])
+    links = links_from_poses(robot, tip_poses(model, rows)[some], rows.readings[some])
     if links is None:
         return None
     base, target = (frames[0][1].homogeneous for frames in (model.world_base, model.tip_target))
     predicted = base @ pose(links, robot.positions(rows.readings)) @ target
-    left = residuals(predicted[:, :3, :3], predicted[:, :3, 3], rows.position, rows.rotation)
-    return ClosedForm(link_table(robot), links, link_table(same_chain(robot, stage_urdf(geometric))), left)
+    residual = residuals(predicted[:, :3, :3], predicted[:, :3, 3], rows.position, rows.rotation)
+    return ClosedForm(link_table(robot), links, link_table(same_chain(robot, stage_urdf(geometric))), residual)

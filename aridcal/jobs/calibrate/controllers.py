@@ -1,4 +1,4 @@
-"""What controllers are given: as much of the calibration as each of them takes, and the error that this leaves."""
+"""Exports to controllers: as much of the calibration as each kind of controller takes, and the error that remains."""
 
 from __future__ import annotations
 
@@ -28,32 +28,32 @@ from aridcal.jobs.calibrate.key_figures import judged_channels, scored
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 
-ROWS = 2000  # that an export is fitted to
+EXPORT_ROWS = 2000  # that an export is fitted to
 MAP_POINTS = 401  # of a joint's error curve, at least
-PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
+POINTS_PER_WAVE = 24  # points in each wave of a harmonic: linear interpolation is then off by 1 % of it at most
 BY_REGION, INDEX = "URDF by region", "regions/index.yaml"
-WHERE_HOLDS = (
+REGION_NOTE = (
     "A region's URDF holds where its `middle` is the nearest, each coordinate divided by its `scale` [m, rad]. All go with",
     "the two frames of `URDF by region` in frames.yaml.",
 )
-WHOSE_HOLDS = (
+LABEL_NOTE = (
     "A region's URDF holds for rows whose `station` is its `label`; that of an empty label, the one model, for all others. All",
     "go with the two frames of `URDF by region` in frames.yaml.",
 )
-FIRM = 1e12  # precision of a coefficient that is held, in units of the noise's own
+HELD_PRECISION = 1e12  # precision of a coefficient that is held, in units of the noise's own
 
 
 @dataclass(frozen=True)
 class Export:
-    """One way to hand the calibration over, and what it leaves.
+    """One way to hand the calibration over, and the error that remains.
 
     Attributes:
         name: ``URDF alone``, ``full model`` and so on.
-        files: Where it is, in the result folder.
+        files: Its files in the result folder.
         error: RMS error on the held-out rows, or on the fitted ones if none were held out, in the channel that judges: [m] of
             positions.
         apart: RMS distance of its predictions from the full model's on the same rows, [m].
-        model: Holds the two frames that go with it, fitted to what it can express.
+        model: Model of the export, with the two frames fitted to it.
     """
 
     name: str
@@ -69,8 +69,8 @@ class Handover:
 
     Attributes:
         exports: The least complete first, the full model last.
-        rows: On which they are scored, ``60 held-out rows`` for instance.
-        channel: In which.
+        rows: The rows that score them, ``60 held-out rows`` for instance.
+        channel: The channel of the error.
         offsets: Joint-zero offsets alone: readings' corrections by name, [rad] or [m]; those that the frames take up
             are absent.
         maps: For joints with an error curve of their own: readings and what to add to them, shape (points,) each.
@@ -95,23 +95,25 @@ class Handover:
 
 
 def hand_over(outcome: Outcome) -> Handover:
-    """Work out what each kind of controller can be given.
+    """Work out the export for each kind of controller.
 
     Joint-zero offsets alone, and constants that go with the joints' own curves, are fitted anew to the training rows:
     the best under that restriction, with both frames left free.
     """
     m, final = outcome.measurements, outcome.stage("final")
-    judged, kind = scored(outcome)
+    judging, kind = scored(outcome)
     first = next((k for k in leading(m) if k in judged_channels(outcome)), leading(m)[0])
     part = columns(m.channels)[first]
 
-    def export(name: str, files: tuple[str, ...], found: Fit, own: Regions | None = None) -> Export:
-        found = recentred(found)
-        left = (problem(found.model, m).residual(found.theta) if own is None else own.residual(m))[judged]
-        apart = left - final.residual[judged]
+    def export(name: str, files: tuple[str, ...], stage_fit: Fit, of_regions: Regions | None = None) -> Export:
+        stage_fit = recentred(stage_fit)
+        residual = (
+            problem(stage_fit.model, m).residual(stage_fit.theta) if of_regions is None else of_regions.residual(m)
+        )[judging]
+        apart = residual - final.residual[judging]
         if not m.direct:
-            apart = (_predicted(found, m) - outcome.at_target.places)[judged]
-        return Export(name, files, _rms(left[:, part]), _rms(apart[:, :3]), found.model)
+            apart = (_predicted(stage_fit, m) - outcome.at_target.places)[judging]
+        return Export(name, files, _rms(residual[:, part]), _rms(apart[:, :3]), stage_fit.model)
 
     offsets = _offsets(outcome)
     with_maps = _with_maps(outcome)
@@ -124,21 +126,21 @@ def hand_over(outcome: Outcome) -> Handover:
     if with_maps is not None:
         files = ("joint_maps.urdf", "joint_maps.csv")
         exports.append(export("+ joint maps", files, with_maps))
-    own = by_region(outcome)
-    if own is not None:
-        exports.append(export(BY_REGION, (INDEX,), final.fit, own))
+    of_regions = by_region(outcome)
+    if of_regions is not None:
+        exports.append(export(BY_REGION, (INDEX,), final.fit, of_regions))
     exports.append(export("full model", ("calibration.yaml",), final.fit))
-    found = dict(zip(offsets.model.names, offsets.theta, strict=True))
+    zeros = dict(zip(offsets.model.names, offsets.theta, strict=True))
     robot = outcome.robot
     return Handover(
         exports=tuple(exports),
-        rows=f"{int(judged.sum())} {kind}",
+        rows=f"{int(judging.sum())} {kind}",
         channel=m.channels[first],
-        offsets={name: float(found[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in found},
+        offsets={name: float(zeros[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in zeros},
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
         calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
-        regions=own,
+        regions=of_regions,
     )
 
 
@@ -149,7 +151,7 @@ def by_region(outcome: Outcome) -> Regions | None:
 
 
 def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
-    """Write what controllers read into a result folder; each file that takes comments says what error it leaves."""
+    """Write the exports into a result folder; each file that takes comments states the error that remains."""
     robot = outcome.robot
 
     def write(name: str, text: str, export: str, *notes: str) -> None:
@@ -159,11 +161,11 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
     for name, table in tables(robot, handover.calibrated).items():
         write(name, table.text, "URDF alone", *table.notes)
     text = yaml.safe_dump({"joint_offsets": handover.offsets}, sort_keys=False)
-    taken = [name for name in robot.readings if name not in handover.offsets]
+    absorbed = [name for name in robot.readings if name not in handover.offsets]
     write(
         "joint_offsets.yaml", text, "joint offsets alone",
         "To be added to what each joint reads [rad, m]; all else nominal, base and target fitted to that.",
-        *([f"Of {', '.join(taken)}: none, the base or the target takes it up."] if taken else []),
+        *([f"Of {', '.join(absorbed)}: none, the base or the target takes it up."] if absorbed else []),
     )  # fmt: skip
     frames = {e.name: _frames(e.model) for e in handover.exports}
     note = "# Where the base stands in the world and the target on the tip, for each export [m, rad].\n"
@@ -174,7 +176,7 @@ def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> Non
             write_urdf((folder / INDEX).with_name(f"{region.name}.urdf"), region.fit.model, region.fit.theta)
         text = yaml.safe_dump(index_document(outcome, handover.regions), sort_keys=False, width=200)
         unit = f"`error`: RMS {handover.channel.noun} [{handover.channel.unit}] on a region's held-out rows, or on all."
-        write(INDEX, text, BY_REGION, *(WHERE_HOLDS if handover.regions.by else WHOSE_HOLDS), unit)
+        write(INDEX, text, BY_REGION, *(REGION_NOTE if handover.regions.by else LABEL_NOTE), unit)
     if handover.with_maps is not None:
         write_urdf(folder / "joint_maps.urdf", handover.with_maps.model, handover.with_maps.theta)
         import pandas as pd  # slow to load, and few calibrations have maps
@@ -192,7 +194,7 @@ class Table:
 
     Attributes:
         text: YAML; of a robot of several limbs under ``limbs``, each by the link that it leads to.
-        notes: What is said above it.
+        notes: Comments above it.
     """
 
     text: str
@@ -215,10 +217,10 @@ def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
 
         return made
 
-    ways = {
+    makers_by_file = {
         "kinematics.yaml": makers, "dh.yaml": dh(standard_dh), "dh_modified.yaml": dh(modified_dh), "doty.yaml": doty,
     }  # fmt: skip
-    return {name: _by_limb(make, nominal, calibrated) for name, make in ways.items()}
+    return {name: _by_limb(make, nominal, calibrated) for name, make in makers_by_file.items()}
 
 
 def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
@@ -245,39 +247,39 @@ def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: 
     return Table("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
 
 
-def index_document(outcome: Outcome, own: Regions) -> dict[str, Any]:
-    """Where each region's URDF holds, and what it leaves beside the one URDF and the full model."""
+def index_document(outcome: Outcome, of_regions: Regions) -> dict[str, Any]:
+    """Where each region's URDF holds, and its error beside those of the one URDF and the full model."""
     part = columns(outcome.channels)[leading(outcome.measurements)[0]]
-    left = {
-        "urdf_alone": outcome.stage("geometric").residual, "this_urdf": own.residual(outcome.measurements),
+    residuals = {
+        "urdf_alone": outcome.stage("geometric").residual, "this_urdf": of_regions.residual(outcome.measurements),
         "full_model": outcome.stage("final").residual,
     }  # fmt: skip
     test = outcome.measurements.test & ~outcome.outlier
 
     def entry(region: Region) -> dict[str, Any]:
         held_out = region.rows & test
-        judged = held_out if held_out.any() else region.rows & ~outcome.outlier
-        errors = {name: _rms(residual[judged][:, part]) for name, residual in left.items() if judged.any()}
+        judging = held_out if held_out.any() else region.rows & ~outcome.outlier
+        errors = {name: _rms(residual[judging][:, part]) for name, residual in residuals.items() if judging.any()}
         ends = {"middle": region.middle, "low": region.low, "high": region.high}
-        told = {name: dict(zip(own.by, values.tolist(), strict=True)) for name, values in ends.items()}
+        values_of = {name: dict(zip(of_regions.by, values.tolist(), strict=True)) for name, values in ends.items()}
         return {
             "urdf": f"{region.name}.urdf",
-            **(told if region.label is None else {"label": region.label}),
+            **(values_of if region.label is None else {"label": region.label}),
             "rows": {"all": int(region.rows.sum()), "held_out": int(held_out.sum())},
             "error": errors,
         }
 
-    scale = dict(zip(own.by, own.scale.tolist(), strict=True))
-    return {"format": 1, "scale": scale, "regions": {region.name: entry(region) for region in own.every}}
+    scale = dict(zip(of_regions.by, of_regions.scale.tolist(), strict=True))
+    return {"format": 1, "scale": scale, "regions": {region.name: entry(region) for region in of_regions.every}}
 
 
 def _statement(handover: Handover, name: str) -> list[str]:
     """An export's own error in words."""
-    own = next(e for e in handover.exports if e.name == name)
+    chosen = next(e for e in handover.exports if e.name == name)
     channel = handover.channel
     return [
-        f"{name}: {channel.scale * own.error:.3f} {channel.shown} RMS {channel.noun} on {handover.rows}, "
-        f"{1e3 * own.apart:.3f} mm from the full model there.",
+        f"{name}: {channel.scale * chosen.error:.3f} {channel.shown} RMS {channel.noun} on {handover.rows}, "
+        f"{1e3 * chosen.apart:.3f} mm from the full model there.",
         f"All exports: {handover.summary()}.",
     ]
 
@@ -295,21 +297,21 @@ def _rms(vectors: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squares[~np.isnan(squares)])))
 
 
-def _predicted(found: Fit, rows: Dataset) -> np.ndarray:
-    """Where a model has the targets, shape (N, 3), [m]."""
-    return found.model.poses(found.theta, problem(found.model, rows).rows)[1]
+def _predicted(model_fit: Fit, rows: Dataset) -> np.ndarray:
+    """Predicted targets of rows, shape (N, 3), [m]."""
+    return model_fit.model.poses(model_fit.theta, problem(model_fit.model, rows).rows)[1]
 
 
-def _asked(outcome: Outcome, model: Model) -> Problem:
-    """A model asked about some of the rows that the calibration was fitted to, at the noise that it found."""
+def _export_problem(outcome: Outcome, model: Model) -> Problem:
+    """The problem of a model on some of the fitted rows, at the noise of the calibration."""
     m = outcome.measurements
     rows = with_sigma(m.fitted.select(~outcome.outlier[m.train]), outcome.noise.tolist())
-    every = problem(model, rows)
-    return every.select(thin(every.rows, ROWS))
+    whole = problem(model, rows)
+    return whole.select(thin(whole.rows, EXPORT_ROWS))
 
 
 def _offsets(outcome: Outcome) -> Fit:
-    """Both frames and the joints' zeros, nothing else."""
+    """Fit of both frames and the joints' zeros, nothing else."""
     nominal = outcome.stage("nominal").fit.model
     candidates = outcome.stage("geometric").fit.candidates
     beside = {"world_base", "tip_target", *nominal.instruments.names}
@@ -320,7 +322,7 @@ def _offsets(outcome: Outcome) -> Fit:
     )
     if not model.coefficients:
         return outcome.stage("nominal").fit
-    return fit_identifiable(_asked(outcome, model), range(len(model.coefficients)))
+    return fit_identifiable(_export_problem(outcome, model), range(len(model.coefficients)))
 
 
 def _own(c: Coefficient) -> bool:
@@ -329,39 +331,43 @@ def _own(c: Coefficient) -> bool:
 
 
 def _with_maps(outcome: Outcome) -> Fit | None:
-    """The constants that suit the joints' own curves when all other effects are left out."""
+    """Fit of the constants that go with the joints' own curves when all other effects are left out."""
     final, geometric = outcome.stage("final").fit, outcome.stage("geometric").fit
     curves = [k for k, c in enumerate(final.model.coefficients) if _own(c)]
     if not curves:
         return None
     coefficients = final.model.coefficients
-    kept = [k for k, c in enumerate(coefficients) if c.basis.constant or is_zero(c, outcome.robot) or _own(c)]
-    if len(kept) == len(coefficients):
+    constants = [k for k, c in enumerate(coefficients) if c.basis.constant or is_zero(c, outcome.robot) or _own(c)]
+    if len(constants) == len(coefficients):
         return final
-    model = final.model.with_coefficients([coefficients[k] for k in kept])
-    theta = final.theta[kept]
+    model = final.model.with_coefficients([coefficients[k] for k in constants])
+    theta = final.theta[constants]
     held = np.array([_own(c) for c in model.coefficients])
-    asked = _asked(outcome, model)
-    precision = FIRM * len(asked) / float(geometric.sigma.min()) ** 2
+    fit_problem = _export_problem(outcome, model)
+    precision = HELD_PRECISION * len(fit_problem) / float(geometric.sigma.min()) ** 2
     prior = Prior(theta, np.diag(np.where(held, precision, 0.0)))
-    return fit(asked, theta, np.ones(len(asked)), prior)
+    return fit(fit_problem, theta, np.ones(len(fit_problem)), prior)
 
 
-def _curves(outcome: Outcome, found: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _curves(outcome: Outcome, maps_fit: Fit) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Correction of each joint with a curve of its own, over the range measured; shape (points,) each."""
     robot = outcome.robot
-    seen = robot.positions(outcome.measurements.readings)
+    positions = robot.positions(outcome.measurements.readings)
     curves = {}
-    for joint, at in zip(robot.joints, seen.T, strict=True):
-        own = [k for k, c in enumerate(found.model.coefficients) if _own(c) and c.where == joint.name]
-        if not own:
+    for joint, at in zip(robot.joints, positions.T, strict=True):
+        coefficients = [k for k, c in enumerate(maps_fit.model.coefficients) if _own(c) and c.where == joint.name]
+        if not coefficients:
             continue
         order = max(
-            (c.basis.numbers[0] for k in own if (c := found.model.coefficients[k]).basis.form in ("sin", "cos")),
+            (
+                c.basis.numbers[0]
+                for k in coefficients
+                if (c := maps_fit.model.coefficients[k]).basis.form in ("sin", "cos")
+            ),
             default=0.0,
         )
-        count = max(MAP_POINTS, int(PER_WAVE * order * (np.nanmax(at) - np.nanmin(at)) / (2.0 * np.pi)) + 1)
+        count = max(MAP_POINTS, int(POINTS_PER_WAVE * order * (np.nanmax(at) - np.nanmin(at)) / (2.0 * np.pi)) + 1)
         points = np.linspace(np.nanmin(at), np.nanmax(at), count)
-        phi = np.array([evaluate(found.model.coefficients[k].basis, {joint.name: points}) for k in own])
-        curves[joint.name] = points, found.theta[own] @ phi
+        phi = np.array([evaluate(maps_fit.model.coefficients[k].basis, {joint.name: points}) for k in coefficients])
+        curves[joint.name] = points, maps_fit.theta[coefficients] @ phi
     return curves

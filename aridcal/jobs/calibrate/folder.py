@@ -37,34 +37,36 @@ from aridcal.system.writing.table_writer import csv_lines
 if TYPE_CHECKING:
     import pandas as pd
 
-AT_ONCE = 20_000
-"""Rows that are written between two words of progress: half a second."""
+ROWS_AT_ONCE = 20_000
+"""Rows that are written between two reports of progress: half a second."""
 
 DIGITS = 9
-"""Of numbers in residuals.csv: a nanometre of a metre."""
+"""Digits of numbers in residuals.csv: a nanometre of a metre."""
 
-WHERE = ("world_base", "tip_target")
+FRAME_NAMES = ("world_base", "tip_target")
 
 
 def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -> tuple[str, ...]:
     """Write every file of the result folder that needs no drawing.
 
     Returns:
-        What readers of URDFs cannot read of the user's own file, in words.
+        Notices on parts of the user's own URDF that readers of URDFs cannot read.
     """
     (folder / "result.json").write_text(json.dumps(result_document(outcome), indent=2, allow_nan=False) + "\n")
-    give_back()  # what the figures took: the scatter over all rows below takes as much again
-    written = {"calibrated.urdf": "geometric", **({"model.urdf": "final"} if outcome.effects else {})}
+    give_back()  # memory of the figures: the scatter over all rows below needs as much again
+    stages = {"calibrated.urdf": "geometric", **({"model.urdf": "final"} if outcome.effects else {})}
     notices: list[str] = []
-    for name, stage in written.items():
+    for name, stage in stages.items():
         fit = outcome.stage(stage).fit
         notices += write_urdf(folder / name, fit.model, fit.theta)
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), encoding="utf-8")
     order = outcome.measurements.as_read
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(residual_columns_of(outcome, order[:0])) + "\n")
-        for first in progress.through(range(0, len(order), AT_ONCE), len(order), "rows of residuals.csv", AT_ONCE):
-            file.write(csv_lines(residual_columns_of(outcome, order[first : first + AT_ONCE]), DIGITS))
+        for first in progress.through(
+            range(0, len(order), ROWS_AT_ONCE), len(order), "rows of residuals.csv", ROWS_AT_ONCE
+        ):
+            file.write(csv_lines(residual_columns_of(outcome, order[first : first + ROWS_AT_ONCE]), DIGITS))
     if outcome.head is not None:
         import pandas as pd  # slow to load, and other campaigns have no images
 
@@ -138,59 +140,60 @@ CAUSES = {
 
 
 def noise_document(causes: NoiseCauses) -> dict[str, Any]:
-    """What the scatter is made of: of each kind, by name, its value with std and unit, and what explains it as well."""
-    found: dict[str, Any] = {}
+    """Causes of the scatter by kind and name: value, std and unit of each, and the causes that explain it as well."""
+    document: dict[str, Any] = {}
     for c in causes.causes:
         rivals = [{"cause": CAUSES.get(r.kind, "joint_readings"), "name": r.name, **_noise_cause(r)} for r in c.rivals]
-        found.setdefault(CAUSES[c.kind], {})[c.name] = _noise_cause(c) | ({"or": rivals} if rivals else {})
-    return found
+        document.setdefault(CAUSES[c.kind], {})[c.name] = _noise_cause(c) | ({"or": rivals} if rivals else {})
+    return document
 
 
 def _noise_cause(c: NoiseCause) -> dict[str, Any]:
-    """One cause: its value, and what it lies along."""
-    said: dict[str, Any] = {"value": c.value, "std": c.std, "unit": c.unit}
+    """One cause: its value, and its direction or lever."""
+    entry: dict[str, Any] = {"value": c.value, "std": c.std, "unit": c.unit}
     shape = c.shape
     if shape is None:
-        return said
+        return entry
     if shape.vector is not None:
-        said["lever" if shape.kind == "lever" else "axis"] = shape.vector.tolist()
+        entry["lever" if shape.kind == "lever" else "axis"] = shape.vector.tolist()
     if shape.kind == "own_axis":
-        said["across"] = shape.across
+        entry["across"] = shape.across
     if shape.point is not None:
-        said |= {"from": shape.point.tolist(), "distance": shape.typical, "power": shape.power}
-    return said
+        entry |= {"from": shape.point.tolist(), "distance": shape.typical, "power": shape.power}
+    return entry
 
 
 def _over_time(outcome: Outcome) -> dict[str, Any]:
     """The error with whole stretches of time held back, where an effect depends on time."""
-    found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
+    error = None if outcome.diagnosis is None else outcome.diagnosis.over_time
     first = outcome.channels[0]
-    return {} if found is None else {"over_time": {first.key: {"rms": first.scale * found}}}
+    return {} if error is None else {"over_time": {first.key: {"rms": first.scale * error}}}
 
 
 def instruments(outcome: Outcome) -> dict[str, Any]:
     """Every number of every thing that the rows refer to, by the plural of its role, its label and its component."""
-    found: dict[str, Any] = {}
+    document: dict[str, Any] = {}
     for v in outcome.things:
-        numbers = found.setdefault(f"{v.role}s", {}).setdefault(v.name, {})
+        numbers = document.setdefault(f"{v.role}s", {}).setdefault(v.name, {})
         numbers[v.component] = {"value": v.value, "std": v.std, "unit": v.unit, "status": v.status}
         if v.redundant_with:
             numbers[v.component]["redundant_with"] = list(v.redundant_with)
-    return found
+    return document
 
 
-def _verification(found: Verification) -> dict[str, Any]:
+def _verification(verification: Verification) -> dict[str, Any]:
     """Another day's rows: the errors of each stage, and of the last with the frames fitted anew."""
-    residuals = dict(found.residuals)
-    if found.realigned is not None:
-        residuals["realigned"] = found.realigned
+    residuals = dict(verification.residuals)
+    if verification.realigned is not None:
+        residuals["realigned"] = verification.realigned
     return {
-        "file": found.file,
-        "rows": len(found.measurements),
-        **({"own_rows_left_out": found.copied} if found.copied else {}),
-        "outliers": int(found.outlier.sum()),
+        "file": verification.file,
+        "rows": len(verification.measurements),
+        **({"own_rows_left_out": verification.copied} if verification.copied else {}),
+        "outliers": int(verification.outlier.sum()),
         "error": {
-            name: errors(residual, ~found.outlier, found.measurements.channels) for name, residual in residuals.items()
+            name: errors(residual, ~verification.outlier, verification.measurements.channels)
+            for name, residual in residuals.items()
         },
     }
 
@@ -199,55 +202,55 @@ def frames(stage: Stage) -> dict[str, Any]:
     """Identified frames: xyz [m], rpy [rad], and std as a twist in the frame's own axes."""
     fit = stage.fit
     std = dict(zip(fit.model.names, fit.std, strict=True))
-    found: dict[str, Any] = {}
-    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+    document: dict[str, Any] = {}
+    for where, placements in zip(FRAME_NAMES, (fit.model.world_base, fit.model.tip_target), strict=True):
         for label, placement in placements:
             name = where if label is None else f"{where}[{label}]"
-            found[name] = {
+            document[name] = {
                 "xyz": placement.translation.tolist(),
                 "rpy": pin.rpy.matrixToRpy(placement.rotation).tolist(),
                 "std": [float(std.get(f"{name}.{c}", 0.0)) for c in FRAME_COMPONENTS],
             }
-    return found
+    return document
 
 
 def parameters(fit: Fit) -> list[dict[str, Any]]:
-    """Every candidate constant of the arm and its frames: its value, or those that it is confounded with.
+    """Every candidate constant of the arm and its frames: its value, or the constants that it is confounded with.
 
-    A frame's constants are given as the frame's own xyz and rpy; all others as the correction of the nominal value.
+    A frame's constants are its own xyz and rpy; all others are corrections of the nominal value.
     """
     value = dict(zip(fit.model.names, fit.theta, strict=True))
     std = dict(zip(fit.model.names, fit.std, strict=True))
-    own: dict[str, float] = {}
-    for where, placements in zip(WHERE, (fit.model.world_base, fit.model.tip_target), strict=True):
+    frame_values: dict[str, float] = {}
+    for where, placements in zip(FRAME_NAMES, (fit.model.world_base, fit.model.tip_target), strict=True):
         for label, placement in placements:
             numbers = [*placement.translation, *pin.rpy.matrixToRpy(placement.rotation)]
             name = where if label is None else f"{where}[{label}]"
-            own |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
+            frame_values |= {f"{name}.{c}": float(v) for c, v in zip(FRAME_COMPONENTS, numbers, strict=True)}
     things = fit.model.instruments.names
     robot = fit.model.robot
-    asked = [c for c in fit.candidates if (c.basis.constant or is_zero(c, robot)) and c.where not in things]
-    candidates = {c.name: c.component for c in asked}
-    turns = {c.name for c in asked if is_zero(c, robot) and robot.joint(c.where).kind != "prismatic"}
-    fixed = {name: name.rsplit(".", 1)[1] for name in own if name not in candidates}
-    found = []
+    constants = [c for c in fit.candidates if (c.basis.constant or is_zero(c, robot)) and c.where not in things]
+    candidates = {c.name: c.component for c in constants}
+    turns = {c.name for c in constants if is_zero(c, robot) and robot.joint(c.where).kind != "prismatic"}
+    fixed = {name: name.rsplit(".", 1)[1] for name in frame_values if name not in candidates}
+    entries = []
     for name, component in (candidates | fixed).items():
         status = "identified" if name in value else "redundant" if name in candidates else "fixed"
-        found.append({
+        entries.append({
             "name": name,
             "unit": "rad" if name in turns or component in ANGULAR else "m",
-            "value": own.get(name, float(value.get(name, 0.0))),
+            "value": frame_values.get(name, float(value.get(name, 0.0))),
             "std": float(std[name]) if name in value else None,
             "status": status,
             "redundant_with": list(fit.redundant.get(name, ())),
         })  # fmt: skip
-    return found
+    return entries
 
 
-def _head(head: MeasuringHead, found: Mapping[str, Any]) -> dict[str, Any]:
+def _head(head: MeasuringHead, placements: Mapping[str, Any]) -> dict[str, Any]:
     """The measuring head: mounting, numbers, and how far image points and ranges of single shots fit together."""
     return {
-        "tip_camera": found["tip_target"],
+        "tip_camera": placements["tip_target"],
         "numbers": [asdict(n) | {"redundant_with": []} for n in head.numbers],
         "misfit_within_shots": {"declared": head.misfit[0], "identified": head.misfit[1]},
         "range_rms_mm": {
@@ -261,34 +264,34 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
     fit, effect = outcome.stage("final").fit, named.effect
     index = {name: k for k, name in enumerate(fit.model.names)}
     joints = {j.name: j.kind for j in outcome.robot.joints}
-    found: dict[str, Any] = {"kind": effect.kind, "where": effect.where, "motion": list(effect.motion)}
+    document: dict[str, Any] = {"kind": effect.kind, "where": effect.where, "motion": list(effect.motion)}
     if effect.order:
-        found["order"] = list(effect.order)
+        document["order"] = list(effect.order)
     if effect.with_:
-        found["with"] = effect.with_
+        document["with"] = effect.with_
     if effect.by:
-        found["by"] = effect.by
+        document["by"] = effect.by
     if effect.at is not None:
-        found["at"] = moment(effect.at, outcome.measurements)
+        document["at"] = moment(effect.at, outcome.measurements)
     turning = {c: c in ANGULAR or (c == "axis" and joints.get(effect.where) == "revolute") for c in effect.motion}
-    known = {}
+    identified = {}
     for c in effect.coefficients:
         if c.name in index:
             k = index[c.name]
-            known[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
-    found |= {
+            identified[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
+    document |= {
         "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
-            dict(zip(("name", "unit", "value", "std"), (c.name, *known[c.name]), strict=True))
+            dict(zip(("name", "unit", "value", "std"), (c.name, *identified[c.name]), strict=True))
             for c in effect.coefficients
         ],
         "p_value": named.p_value,
     }
     for channel, part in zip(outcome.channels, columns(outcome.channels), strict=True):
-        found[f"{channel.name}_rms_{channel.shown}"] = _before_after(named, part, channel.scale)
-    found["confounded_with"] = [_short(e) for e in named.confounded_with]
-    found["declared"] = named.declared
-    return found
+        document[f"{channel.name}_rms_{channel.shown}"] = _before_after(named, part, channel.scale)
+    document["confounded_with"] = [_short(e) for e in named.confounded_with]
+    document["declared"] = named.declared
+    return document
 
 
 def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
@@ -300,12 +303,12 @@ def _unit(fit: Fit, c: Coefficient, turns: bool) -> str:
 def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
     """The first row after a step: its line, its file if there are several, its time if there is one."""
     first = rows_around(step, rows)[1]
-    found: dict[str, Any] = (
+    document: dict[str, Any] = (
         {"file": rows.origin.files[rows.origin.file[first]].name} if len(rows.origin.files) > 1 else {}
     )
-    found["row"] = int(rows.origin.line[first])
+    document["row"] = int(rows.origin.line[first])
     time = rows.covariates.get("time", np.full(len(rows), np.nan))[first]
-    return found | ({"time": float(time)} if np.isfinite(time) else {})
+    return document | ({"time": float(time)} if np.isfinite(time) else {})
 
 
 def what_moved(effect: Effect, rows: Dataset) -> str:
@@ -333,17 +336,17 @@ def rows_around(step: Basis, rows: Dataset) -> tuple[int, int]:
 
 def _before_after(named: NamedEffect, part: slice, scale: float) -> dict[str, float]:
     """RMS of a channel on the held-out rows that measure it, without an effect and with it."""
-    found = {}
+    rms = {}
     for name, r in (("before", named.before), ("after", named.after)):
         squares = np.sum(r[:, part] ** 2, axis=1)
         squares = squares[~np.isnan(squares)]
-        found[name] = scale * float(np.sqrt(np.mean(squares))) if len(squares) else math.nan
-    return found
+        rms[name] = scale * float(np.sqrt(np.mean(squares))) if len(squares) else math.nan
+    return rms
 
 
 def _short(effect: Effect) -> dict[str, Any]:
-    named = {"kind": effect.kind, "where": effect.where, "with": effect.with_, "by": effect.by}
-    return {key: value for key, value in named.items() if value}
+    keys = {"kind": effect.kind, "where": effect.where, "with": effect.with_, "by": effect.by}
+    return {key: value for key, value in keys.items() if value}
 
 
 def residual_table(outcome: Outcome) -> pd.DataFrame:
@@ -355,13 +358,13 @@ def residual_table(outcome: Outcome) -> pd.DataFrame:
 
 
 def residual_columns_of(outcome: Outcome, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Of each row where it stands, its part and flags, and what each stage leaves, in SI and [px].
+    """Columns of ``residuals.csv``: place, part and flags of each row, and the residual of each stage, in SI and [px].
 
-    Of rows of several kinds also its block, the things that it refers to and its target, as the campaign names them.
+    Where rows are of several kinds also the block, the things that the row refers to and its target, as the campaign names them.
 
     Args:
-        outcome: Of all usable rows.
-        rows: Numbers of those that are asked for, in the order of the lines.
+        outcome: An outcome.
+        rows: Numbers of the rows to write, in the order of the lines.
     """
     m = outcome.measurements
     axes = residual_columns(m)
@@ -388,16 +391,16 @@ def residual_columns(m: Dataset) -> list[str]:
 
 
 def _labels(m: Dataset, rows: np.ndarray) -> dict[str, Any]:
-    """What rows of several kinds say beside their numbers, as columns."""
+    """Block, things and target of rows of several kinds, as columns."""
     if m.direct:
         return {}
     names = np.array([block.name for block in m.blocks])
-    own, refers = m.labels.block[rows], m.labels.refers[rows]
-    table: dict[str, Any] = {"block": names[own]}
+    block_of_row, refers = m.labels.block[rows], m.labels.refers[rows]
+    table: dict[str, Any] = {"block": names[block_of_row]}
     for b, block in enumerate(m.blocks):
         for k, role in enumerate(labelled(block.kind)):
             column = table.setdefault(role.name, np.full(len(rows), "", dtype=object))
-            column[own == b] = refers[own == b, k]
+            column[block_of_row == b] = refers[block_of_row == b, k]
     return table if m.labels.target is None else table | {"target": m.labels.target[rows]}
 
 
@@ -409,7 +412,7 @@ def _convergence(fit: Fit) -> dict[str, Any]:
 
 
 def finite(value: Any) -> Any:
-    """JSON has no NaN: what could not be computed is null."""
+    """A value for JSON, which has no NaN: numbers that could not be computed become null."""
     if isinstance(value, dict):
         return {key: finite(v) for key, v in value.items()}
     if isinstance(value, list):

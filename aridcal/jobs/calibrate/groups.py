@@ -28,35 +28,35 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import SURE, Clue
 from aridcal.system.errors import listed
 
-FEWEST = 40
-"""Rows in which groups are looked for: a twentieth of them is two."""
+LEAST_ROWS = 40
+"""Rows at the least: a twentieth of them is two."""
 
-LEAST = 0.04
-"""Share of a group: fewer rows are outliers, and flagged as such."""
+LEAST_SHARE = 0.04
+"""Share of the rows that a group has at the least: fewer are outliers, and flagged as such."""
 
-SMALLEST = 5
-"""Rows of a group: of noise with long tails the few that are farthest out lie on one side often enough."""
+LEAST_GROUP = 5
+"""Rows of a group at the least: with long tails the few rows farthest out often lie on one side."""
 
-EVEN = 0.25
-"""Share from which signs at random may leave two groups much as they were."""
+EVEN_SHARE = 0.25
+"""Share from which random signs may leave two groups much as they were."""
 
-WORTH = 20.0
+LEAST_STATISTIC = 20.0
 """T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and :data:`DRAWS` of
 them take as many times as long."""
 
 DRAWS = 60
 """Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
 
-MOST = 600
+MOST_ROWS = 600
 """Rows that are looked at, spread evenly over more."""
 
 STEPS = 25
-"""Of expectation and maximisation; what differs by two sigmas has settled then."""
+"""Steps of expectation and maximisation: groups that differ by two sigmas have settled then."""
 
-FIRST = 0.2
+FIRST_SHARE = 0.2
 """Share of the rows that the search begins with, those farthest along a direction."""
 
-APART = 0.98
+MOST_EXPLAINED = 0.98
 """Largest share of the variance along its direction that a shift may explain: the groups have some width."""
 
 
@@ -74,52 +74,52 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
 
     Args:
         rows: N rows, independent of each other.
-        residual: Theirs, shape (N, m).
+        residual: Residuals of these rows, shape (N, m).
         fit: The model, for the target's axes.
 
     Returns:
-        The clearest answer; none where rows are too few, or nothing stands out.
+        The clearest clue; none where rows are too few, or nothing stands out.
     """
-    asked = []
+    views = []
     for number in range(len(rows.blocks)):
-        own = np.flatnonzero(rows.labels.block == number)
-        if len(own) < FEWEST:
+        of_block = np.flatnonzero(rows.labels.block == number)
+        if len(of_block) < LEAST_ROWS:
             continue
-        own = own[np.linspace(0, len(own) - 1, min(len(own), MOST)).round().astype(int)]
-        part = rows.select(own)
-        there = ~np.isnan(residual[own]).any(axis=0)
+        of_block = of_block[np.linspace(0, len(of_block) - 1, min(len(of_block), MOST_ROWS)).round().astype(int)]
+        part = rows.select(of_block)
+        columns = ~np.isnan(residual[of_block]).any(axis=0)
         channels = tuple(c for c, measured in zip(rows.channels, part.measures.T, strict=True) if measured.any())
-        r = residual[own][:, there]
-        asked += [(part, channels, words, seen) for words, seen in _views(part, channels, r, fit)]
-    answers = [clue for one in asked if (clue := _asked(*one, len(asked))) is not None]
+        r = residual[of_block][:, columns]
+        views += [(part, channels, words, view) for words, view in _views(part, channels, r, fit)]
+    answers = [clue for one in views if (clue := _clue(*one, len(views))) is not None]
     return [min(answers, key=lambda clue: clue.p_value)] if answers else []
 
 
 def _views(rows: Dataset, channels: Channels, r: np.ndarray, fit: Fit) -> list[tuple[str, np.ndarray]]:
-    """Residuals in world axes, and in the target's where channels have three."""
+    """Residuals in world axes and, where channels have three axes, in those of the target; each with its words."""
     if not all(channel.size == 3 for channel in channels):
         return [("", r)]
-    asked = problem(fit.model, rows).settled(fit.theta)
-    R, _ = asked.model.poses(fit.theta, asked.rows)
+    fit_problem = problem(fit.model, rows).settled(fit.theta)
+    R, _ = fit_problem.model.poses(fit.theta, fit_problem.rows)
     turned = np.hstack([np.einsum("nji,nj->ni", R, r[:, 3 * k : 3 * k + 3]) for k in range(len(channels))])
     return [("in world axes", r), ("in the target's axes", turned)]
 
 
-def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: int) -> Clue | None:
-    """One view, one of several; none where one group will do."""
+def _clue(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: int) -> Clue | None:
+    """The clue of one of several views, ``times`` of them; None where one group will do."""
     x = _white(r)
-    seen = _likeliest(x[None])
-    T, share, chance = float(seen.T[0]), float(seen.share[0]), seen.chance[0]
-    if T < WORTH:
+    fitted_groups = _likeliest(x[None])
+    T, share, chance = float(fitted_groups.T[0]), float(fitted_groups.share[0]), fitted_groups.chance[0]
+    if T < LEAST_STATISTIC:
         return None
     few = chance > 0.5 if share <= 0.5 else chance < 0.5
     smaller = min(share, 1.0 - share)
-    if min(few.sum(), len(few) - few.sum()) < SMALLEST:
+    if min(few.sum(), len(few) - few.sum()) < LEAST_GROUP:
         return None
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (DRAWS, len(x), 1))
     p_value = _chance(T, x * signs)
-    if smaller >= EVEN:
+    if smaller >= EVEN_SHARE:
         p_value = 2.0 * min(p_value, _chance(T, rng.uniform(-1.0, 1.0, (DRAWS, *x.shape))))
     p_value = min(1.0, times * p_value)
     if p_value >= SURE:
@@ -135,23 +135,27 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
     return Clue("groups", what, min(variance, 1.0), p_value)
 
 
-def _chance(T: float, drawn: np.ndarray) -> float:
-    """That the largest statistic of rows without groups is at least T, from sets of these, shape (B, n, k) (Gumbel 1958)."""
-    chances = _likeliest(np.array([_white(one) for one in drawn])).T
+def _chance(T: float, sets: np.ndarray) -> float:
+    """Probability that rows without groups have a statistic of at least T, from sets of them, shape (B, n, k) (Gumbel 1958)."""
+    chances = _likeliest(np.array([_white(rows) for rows in sets])).T
     scale = max(float(chances.std()), TINY) * np.sqrt(6.0) / np.pi
     place = float(chances.mean()) - np.euler_gamma * scale
     return float(-np.expm1(-np.exp((place - T) / scale)))
 
 
 def _shift(shift: np.ndarray, channels: Channels) -> str:
-    """By how much, and which way, in words: ``0.7 mm along (0.01 -0.03 1.00)``."""
+    """Size and direction of a shift in words: ``0.7 mm along (0.01 -0.03 1.00)``."""
     parts, begin = [], 0
     for channel in channels:
-        own = shift[begin : begin + channel.size]
+        of_channel = shift[begin : begin + channel.size]
         begin += channel.size
-        size = float(np.linalg.norm(own))
-        way = f" along ({' '.join(f'{number:.2f}' for number in own / max(size, TINY))})" if channel.size > 1 else ""
-        parts.append(f"{channel.scale * size:.2g} {channel.shown}{way}")
+        size = float(np.linalg.norm(of_channel))
+        direction = (
+            f" along ({' '.join(f'{number:.2f}' for number in of_channel / max(size, TINY))})"
+            if channel.size > 1
+            else ""
+        )
+        parts.append(f"{channel.scale * size:.2g} {channel.shown}{direction}")
     return " and ".join(parts)
 
 
@@ -159,8 +163,8 @@ def _white(r: np.ndarray) -> np.ndarray:
     """Rows (n, k) with mean zero and covariance one."""
     centred = r - r.mean(axis=0)
     values, vectors = np.linalg.eigh(np.atleast_2d(np.cov(centred.T, bias=True)))
-    kept = values > TINY + 1e-12 * values[-1]
-    return np.asarray(centred @ (vectors[:, kept] / np.sqrt(values[kept])))
+    spanned = values > TINY + 1e-12 * values[-1]
+    return np.asarray(centred @ (vectors[:, spanned] / np.sqrt(values[spanned])))
 
 
 def _likeliest(x: np.ndarray) -> _Groups:
@@ -168,10 +172,10 @@ def _likeliest(x: np.ndarray) -> _Groups:
     k = x.shape[2]
     skew = np.einsum("bnk,bn->bk", x, np.sum(x**2, axis=2))
     skew /= np.maximum(np.linalg.norm(skew, axis=1, keepdims=True), TINY)
-    ways = [skew, *(np.broadcast_to(sign * axis, skew.shape) for axis in np.eye(k) for sign in (1.0, -1.0))]
-    best = _settled(x, ways[0])
-    for way in ways[1:]:
-        other = _settled(x, way)
+    directions = [skew, *(np.broadcast_to(sign * axis, skew.shape) for axis in np.eye(k) for sign in (1.0, -1.0))]
+    best = _maximised(x, directions[0])
+    for direction in directions[1:]:
+        other = _maximised(x, direction)
         better = other.T > best.T
         best = _Groups(
             np.where(better, other.T, best.T),
@@ -181,18 +185,18 @@ def _likeliest(x: np.ndarray) -> _Groups:
     return best
 
 
-def _settled(x: np.ndarray, way: np.ndarray) -> _Groups:
+def _maximised(x: np.ndarray, direction: np.ndarray) -> _Groups:
     """Expectation and maximisation from the rows farthest along a direction, shape (B, k)."""
-    y = np.einsum("bnk,bk->bn", x, way)
-    chance = (y >= np.quantile(y, 1.0 - FIRST, axis=1)[:, None]).astype(float)
+    y = np.einsum("bnk,bk->bn", x, direction)
+    chance = (y >= np.quantile(y, 1.0 - FIRST_SHARE, axis=1)[:, None]).astype(float)
     for _ in range(STEPS):
-        share = np.clip(chance.mean(axis=1), LEAST, 1.0 - LEAST)
-        both = share * (1.0 - share)
-        delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * both)[:, None]
+        share = np.clip(chance.mean(axis=1), LEAST_SHARE, 1.0 - LEAST_SHARE)
+        product = share * (1.0 - share)
+        delta = np.einsum("bn,bnk->bk", chance, x) / (x.shape[1] * product)[:, None]
         length = np.maximum(np.linalg.norm(delta, axis=1), TINY)
         y = np.einsum("bnk,bk->bn", x, delta / length[:, None])
-        length = np.minimum(length, np.sqrt(APART / both))
-        v = 1.0 - both * length**2
+        length = np.minimum(length, np.sqrt(MOST_EXPLAINED / product))
+        v = 1.0 - product * length**2
         odds = np.log(share / (1.0 - share))[:, None] + (length / v)[:, None] * (y - ((0.5 - share) * length)[:, None])
         chance = expit(odds)
     others = np.log1p(-share)[:, None] - 0.5 * ((y + (share * length)[:, None]) ** 2 / v[:, None] + np.log(v)[:, None])

@@ -1,4 +1,4 @@
-"""A campaign and its rows, read: all that users slip in is found here, before what fits and searches is loaded."""
+"""A campaign and its rows: faults in what users give show here, before the code that fits and searches is loaded."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from aridcal.jobs.head1992.observations import Detections, Read
 from aridcal.system.errors import CampaignError, MeasurementError
 from aridcal.system.progress import SILENT, Progress
 
-STILL = 1e-3
+LEAST_TRAVEL = 1e-3
 """[rad] or [m]: a joint that covers less does not move."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A campaign that was read.
+    """A campaign, its robot and its rows.
 
     Attributes:
-        campaign: As it is; of a measuring head its target is at the camera.
+        campaign: The campaign; with a measuring head its target is at the camera.
         robot: The nominal chain.
         rows: Its rows, with the sides that joints came from.
-        detections: What was found in images; None where there are none.
+        detections: Detections in images; None where there are no images.
         still: Sentences on joints that never move.
         started: Clock when reading began, [s].
         seed: Of the split into train and test.
-        cache: What an earlier run has found in the images, if there is one.
+        cache: Detections of an earlier run on the same images, if there is one.
     """
 
     campaign: Campaign
@@ -67,17 +67,17 @@ def read_job(
     progress("reading the measurements")
     if verified and campaign.measurements.head is not None:
         raise CampaignError(f"{campaign.path}: --verify needs a table of poses; `kind: camera_sonar` has shots")
-    read = read_rows(campaign, robot, cache, seed, progress)
-    rows = with_directions(read.rows)
-    still = _check_motion(read.campaign, robot, rows)
-    return Job(read.campaign, robot, rows, read.detections, still, started, seed, cache)
+    inputs = read_rows(campaign, robot, cache, seed, progress)
+    rows = with_directions(inputs.rows)
+    still = _check_motion(inputs.campaign, robot, rows)
+    return Job(inputs.campaign, robot, rows, inputs.detections, still, started, seed, cache)
 
 
 def looked_again(job: Job, lens: np.ndarray, progress: Progress) -> Job:
-    """The same job, fiducials looked for again in its images by another lens, intrinsics of shape (9,)."""
-    read = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
-    rows = with_directions(read.rows)
-    return replace(job, rows=rows, detections=read.detections, still=_check_motion(read.campaign, job.robot, rows))
+    """The job with fiducials sought again in its images by another lens, intrinsics of shape (9,)."""
+    inputs = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
+    rows = with_directions(inputs.rows)
+    return replace(job, rows=rows, detections=inputs.detections, still=_check_motion(inputs.campaign, job.robot, rows))
 
 
 def read_rows(
@@ -108,10 +108,10 @@ def _check_motion(campaign: Campaign, robot: Robot, rows: Dataset) -> tuple[str,
             f"{campaign.path}: nothing is to be identified: both frames have `identify: false`, `parameters` has "
             "`set: none`, and no effect is declared or sought. Change one of them"
         )
-    read = rows.readings[rows.train]  # cells of joints off a row's path may be empty
-    high, low = (np.where(np.isnan(read), end, read) for end in (-np.inf, np.inf))
+    readings = rows.readings[rows.train]  # cells of joints off a row's path may be empty
+    high, low = (np.where(np.isnan(readings), end, readings) for end in (-np.inf, np.inf))
     travel = high.max(axis=0) - low.min(axis=0)
-    still = [name for name, moved in zip(rows.names, travel, strict=True) if 0.0 <= moved < STILL]
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if 0.0 <= moved < LEAST_TRAVEL]
     if len(still) == len(rows.names):
         count = rows.train.sum()
         why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"

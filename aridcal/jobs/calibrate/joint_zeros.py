@@ -17,14 +17,14 @@ ON_AXIS = 0.99
 
 @dataclass(frozen=True)
 class JointZero:
-    """How far a joint stands beyond its reading, in all rows alike.
+    """How far a joint stands beyond its reading, the same in all rows.
 
     Attributes:
         joint: Its name.
-        names: Of the constants that say so: a repair adds one to the first.
+        names: Names of the constants that make it up: a repair adds one to the first.
         unit: ``rad`` or ``m``.
-        value: Their sum, each taken the way in which it moves the joint.
-        std: One standard deviation of that sum.
+        value: Sum of these constants, each with the sign by which it moves the joint.
+        std: 1-sigma of that sum.
     """
 
     joint: str
@@ -35,28 +35,28 @@ class JointZero:
 
 
 def joint_zeros(fit: Fit, robot: Robot) -> list[JointZero]:
-    """The zeros that a fit has identified, base first."""
-    found: dict[str, np.ndarray] = {}
+    """The joint zeros that a fit has identified, base first."""
+    directions: dict[str, np.ndarray] = {}
     for k, c in enumerate(fit.model.coefficients):
         zero = zero_of(c.name, robot) if c.basis.constant or is_zero(c, robot) else None
         if zero is not None:
-            found.setdefault(zero[0], np.zeros(len(fit.theta)))[k] = zero[1]
+            directions.setdefault(zero[0], np.zeros(len(fit.theta)))[k] = zero[1]
     kinds = {joint.name: joint.kind for joint in robot.joints}
     return [
         JointZero(
             joint=joint,
-            names=tuple(fit.model.names[k] for k in np.flatnonzero(found[joint])),
+            names=tuple(fit.model.names[k] for k in np.flatnonzero(directions[joint])),
             unit="m" if kinds[joint] == "prismatic" else "rad",
-            value=float(found[joint] @ fit.theta),
-            std=float(np.sqrt(found[joint] @ fit.covariance @ found[joint])),
+            value=float(directions[joint] @ fit.theta),
+            std=float(np.sqrt(directions[joint] @ fit.covariance @ directions[joint])),
         )
         for joint in kinds
-        if joint in found
+        if joint in directions
     ]
 
 
 def zero_of(name: str, robot: Robot) -> tuple[str, int] | None:
-    """The joint whose zero a constant is, and its way: the joint stands so much beyond its reading, or (-1) before it.
+    """The joint whose zero a constant is, and its sign: 1 if the joint stands beyond its reading by it, -1 if before it.
 
     Args:
         name: Of the constant: ``joint_2.yaw``.
@@ -67,11 +67,11 @@ def zero_of(name: str, robot: Robot) -> tuple[str, int] | None:
     """
     where, _, component = name.rpartition(".")
     joint = next((j for j in robot.joints if j.name == where), None)
-    way = _way(joint, component) if joint is not None else 0
-    return (where, way) if way else None
+    sign = _sign(joint, component) if joint is not None else 0
+    return (where, sign) if sign else None
 
 
-def _way(joint: Joint, component: str) -> int:
+def _sign(joint: Joint, component: str) -> int:
     """1 or -1 if a component moves the joint as its own reading does, or against it; 0 if it does not."""
     if component not in FRAME_COMPONENTS:
         return int(component in ("axis", "d" if joint.kind == "prismatic" else "theta"))

@@ -16,26 +16,26 @@ from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.folder import parameters
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, leading, said, statistics
 
-QUESTIONABLE = 0.03
+QUESTIONABLE_OUTLIERS = 0.03
 """Share of outliers above which the measurement is at fault. A sound setup loses a reflector now and then: some rows in a
 thousand. Where it is some in a hundred, rows that are not flagged are wrong for the same reason."""
 
-FEW = 20
+LEAST_HELD_OUT = 20
 """Held-out rows below which an RMS is known to no better than about 10 %: of 3 n numbers it is 1 / sqrt(6 n)."""
 
-OVERFITTED = 1.3
-"""Held-out error over fitted error from which the model is too large for its data: noise alone, with n >= FEW rows held
-out, stays below 1 + 3 / sqrt(6 n) = 1.27."""
+OVERFIT_RATIO = 1.3
+"""Held-out error over fitted error from which the model is too large for its data: noise alone, with n held-out rows, at
+least LEAST_HELD_OUT of them, stays below 1 + 3 / sqrt(6 n) = 1.27."""
 
 MOST_TWINS = 3
 """Effects confounded with one that are named beside it; a screen holds no more, and the report lists all."""
 
-STRAYING = 0.2
+STRAY_SHARE = 0.2
 """Share of autocorrelations off their 95 % band from which consecutive rows count as alike: of 30 lags noise leaves it with
 1.5 on average, and with more than 6 of them in fewer than 1 of 1000 cases."""
 
-NARROW = 0.5
-"""Share of a joint's range below which the calibration extrapolates over more of the range than it has seen."""
+NARROW_SHARE = 0.5
+"""Share of a joint's range below which the calibration extrapolates over more of the range than was measured."""
 
 PLUS = "+\u00a0"
 """Before the name of an effect that a step adds; the blank does not break a line."""
@@ -52,8 +52,8 @@ class Step:
     """One model on the way from the nominal robot to the whole model.
 
     Attributes:
-        names: What it is called: a stage, ``nominal``, ``geometric`` or ``final``, or ``+ EFFECT``; several if models
-            leave the same.
+        names: Its names: a stage, ``nominal``, ``geometric`` or ``final``, or ``+ EFFECT``; several if models have the same
+            residual.
         effect: The effect that it adds to the step before; empty if it adds none.
         residual: Measured minus predicted of all rows, shape (N, m).
     """
@@ -70,7 +70,7 @@ class Step:
 
 @dataclass(frozen=True)
 class JointRange:
-    """Where a joint was measured, by the fitted rows.
+    """The range in which a joint was measured, by the fitted rows.
 
     Attributes:
         name: Of the joint.
@@ -95,7 +95,7 @@ def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
     If all held-out rows are outliers, they judge it all the same.
 
     Returns:
-        A mask of the rows, shape (N,), and what they are called.
+        A mask of the rows, shape (N,) bool, and their name in words.
     """
     parts = outcome.parts()
     if parts["test"].any():
@@ -107,18 +107,18 @@ def scored(outcome: Outcome) -> tuple[np.ndarray, str]:
 
 def every_held_out_row(outcome: Outcome) -> str:
     """The error of the final model on all held-out rows, flagged ones too, in words."""
-    every = outcome.parts()["test_all"]
-    flagged = int((every & outcome.outlier).sum())
-    error = said(outcome.stages[-1].residual, every, outcome.measurements)
-    return f"{flagged} of {every.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
+    held_out = outcome.parts()["test_all"]
+    flagged = int((held_out & outcome.outlier).sum())
+    error = said(outcome.stages[-1].residual, held_out, outcome.measurements)
+    return f"{flagged} of {held_out.sum():,} held-out rows flagged as outliers; {error} RMS with all of them"
 
 
 def over_time(outcome: Outcome) -> str:
     """The error with whole stretches of time held back, in words; empty where no effect depends on time."""
-    found = None if outcome.diagnosis is None else outcome.diagnosis.over_time
+    error = None if outcome.diagnosis is None else outcome.diagnosis.over_time
     first = outcome.channels[0]
     return (
-        "" if found is None else f"with whole stretches of time held back: {first.scale * found:.3f} {first.shown} RMS"
+        "" if error is None else f"with whole stretches of time held back: {first.scale * error:.3f} {first.shown} RMS"
     )
 
 
@@ -129,7 +129,7 @@ def row_errors(residual: np.ndarray, channels: Channels) -> np.ndarray:
 
 
 def overall(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.ndarray) -> float:
-    """One number for the error of some rows: the RMS of the channel that judges, as it is shown; of several, all in sigmas.
+    """One number for the error of some rows: the RMS of the leading channel as it is shown; of several channels in sigmas.
 
     Args:
         residual: Shape (N, m).
@@ -142,28 +142,32 @@ def overall(residual: np.ndarray, mask: np.ndarray, rows: Dataset, sigma: np.nda
 
 
 def judged_channels(outcome: Outcome) -> tuple[int, ...]:
-    """Numbers of the channels that the rows which judge the calibration measure, without those that tell nothing of the arm.
+    """Numbers of the channels that the judging rows measure, without channels that tell nothing of the arm.
 
-    A block whose table says that all its rows are for training has none of them.
+    A block of training rows only has no judging rows, and none of its channels is among them.
     """
     measured = outcome.measurements.measures[scored(outcome)[0]].any(axis=0)
     return tuple(k for k, channel in enumerate(outcome.channels) if measured[k] and not channel.inner)
 
 
 def judging_errors(residual: np.ndarray, rows: Dataset, sigma: np.ndarray) -> np.ndarray:
-    """Error of each row in the channel that judges it, shape (N,): as it is shown; in sigmas where there are several."""
+    """Error of each row in its leading channel, shape (N,): as it is shown; in sigmas where there are several such channels."""
     sizes = row_errors(residual, rows.channels)
-    own = list(leading(rows))
-    if len(own) == 1:
-        return np.asarray(sizes[own[0]])
+    leading_channels = list(leading(rows))
+    if len(leading_channels) == 1:
+        return np.asarray(sizes[leading_channels[0]])
     unit = [channel.scale * float(s) for channel, s in zip(rows.channels, sigma, strict=True)]
-    return np.asarray(np.fmax.reduce(sizes[own] / np.array(unit)[own, None], axis=0))
+    return np.asarray(np.fmax.reduce(sizes[leading_channels] / np.array(unit)[leading_channels, None], axis=0))
 
 
 def squared(outcome: Outcome) -> str:
-    """What :func:`overall` is squared, in words: ``squared position error``."""
-    own = leading(outcome.measurements)
-    return f"squared {outcome.channels[own[0]].noun}" if len(own) == 1 else "squared error of all instruments"
+    """The square of :func:`overall` in words: ``squared position error``."""
+    leading_channels = leading(outcome.measurements)
+    return (
+        f"squared {outcome.channels[leading_channels[0]].noun}"
+        if len(leading_channels) == 1
+        else "squared error of all instruments"
+    )
 
 
 def or_as_well(effect: NamedEffect) -> str:
@@ -176,57 +180,57 @@ def or_as_well(effect: NamedEffect) -> str:
 
 
 def another_day(outcome: Outcome) -> tuple[bool, str] | None:
-    """What another day's rows say of the calibration: whether it holds, and the sentence; None: there are none."""
-    found = outcome.verification
-    if found is None:
+    """Whether another day's rows agree with the calibration, and the sentence on that; None without such rows."""
+    verification = outcome.verification
+    if verification is None:
         return None
     mask, words = scored(outcome)
-    sound = ~found.outlier
-    last, rows, others = outcome.stages[-1], outcome.measurements, found.measurements
-    mask = mask & np.isin(rows.labels.block, others.labels.block)  # set beside the same instruments' rows
-    own = overall(last.residual, mask, rows, outcome.noise)
-    now = overall(found.residuals[last.name], sound, others, outcome.noise)
-    told, before = said(found.residuals[last.name], sound, others), said(last.residual, mask, rows)
+    sound = ~verification.outlier
+    last, rows, day_rows = outcome.stages[-1], outcome.measurements, verification.measurements
+    mask = mask & np.isin(rows.labels.block, day_rows.labels.block)  # compared with rows of the same instruments
+    own_error = overall(last.residual, mask, rows, outcome.noise)
+    other_error = overall(verification.residuals[last.name], sound, day_rows, outcome.noise)
+    in_words, before = said(verification.residuals[last.name], sound, day_rows), said(last.residual, mask, rows)
     if rows.measures[mask][:, leading(rows)].any(axis=0).sum() < 2:
         before = before.partition(" ")[0]
-    own_rows = f", {found.copied:,} of the campaign's own left out" if found.copied else ""
-    those = f"{found.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
-    sentence = f"Another day's rows ({those}): {told} RMS, {before} on the {words}"
-    if now < OVERFITTED * own:
+    own_rows = f", {verification.copied:,} of the campaign's own left out" if verification.copied else ""
+    which_rows = f"{verification.file}, {sound.sum():,} of {len(sound):,}{own_rows}"
+    sentence = f"Another day's rows ({which_rows}): {in_words} RMS, {before} on the {words}"
+    if other_error < OVERFIT_RATIO * own_error:
         return True, f"{sentence}."
-    if found.realigned is None:
+    if verification.realigned is None:
         return False, f"{sentence}: the robot, the target or the instrument has changed since."
-    moved = overall(found.realigned, sound, others, outcome.noise) < OVERFITTED * own
+    moved = overall(verification.realigned, sound, day_rows, outcome.noise) < OVERFIT_RATIO * own_error
     why = "the target or the instrument was remounted" if moved else "the robot has changed since"
-    return False, f"{sentence}; {said(found.realigned, sound, others)} with both frames fitted anew: {why}."
+    return False, f"{sentence}; {said(verification.realigned, sound, day_rows)} with both frames fitted anew: {why}."
 
 
 def solved_stages(outcome: Outcome) -> dict[str, Stage]:
-    """The fitted stages by name; neighbours that leave the same residual share an entry, ``geometric = final``."""
-    found: list[tuple[str, Stage]] = []
+    """The fitted stages by name; neighbours with the same residual share an entry, ``geometric = final``."""
+    stages: list[tuple[str, Stage]] = []
     for stage in outcome.stages:
         name = stage.name
-        if found and np.array_equal(found[-1][1].residual, stage.residual):
-            same, _ = found.pop()
+        if stages and np.array_equal(stages[-1][1].residual, stage.residual):
+            same, _ = stages.pop()
             name = f"{same} = {name}"
-        found.append((name, stage))
-    return {name: stage for name, stage in found if stage.name != "nominal"}
+        stages.append((name, stage))
+    return {name: stage for name, stage in stages if stage.name != "nominal"}
 
 
 def steps(outcome: Outcome) -> list[Step]:
-    """From the nominal robot to the whole model, one effect at a time; models that leave the same are one step."""
+    """From the nominal robot to the whole model, one effect at a time; models with the same residual are one step."""
     *first, final = outcome.stages
     last = outcome.effects[-1].effect.label if outcome.effects else ""
     path = [Step((stage.name,), "", stage.residual) for stage in first]
     path += [Step((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
     path.append(Step((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
-    found: list[Step] = []
+    merged: list[Step] = []
     for step in path:
-        if found and np.array_equal(found[-1].residual, step.residual):
-            before = found.pop()
+        if merged and np.array_equal(merged[-1].residual, step.residual):
+            before = merged.pop()
             step = Step(before.names + step.names, before.effect or step.effect, step.residual)
-        found.append(step)
-    return found
+        merged.append(step)
+    return merged
 
 
 def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
@@ -256,7 +260,7 @@ def constants(outcome: Outcome) -> list[dict[str, Any]]:
 
 
 def joint_ranges(outcome: Outcome) -> list[JointRange]:
-    """Where each joint was measured, base first."""
+    """Measured range of each joint, base first."""
     m, robot = outcome.measurements, outcome.robot
     fitted = m.readings[outcome.parts()["train"]]
     joints = zip(robot.readings, robot.kinds, robot.limits, fitted.T, strict=True)
@@ -268,36 +272,36 @@ def joint_range(name: str, kind: str, limits: np.ndarray, q: np.ndarray) -> Join
     if kind == "continuous":
         q, limits = np.angle(np.exp(1j * q)), np.array([-np.pi, np.pi])
     limited = bool(np.isfinite(limits).all())
-    seen = float(q.min()), float(q.max())
-    low, high = (float(limits[0]), float(limits[1])) if limited else seen
+    extremes = float(q.min()), float(q.max())
+    low, high = (float(limits[0]), float(limits[1])) if limited else extremes
     span = high - low
     share = np.clip((q - low) / (span if span > 0 else 1.0), 0, 1)
     whole = span if kind == "prismatic" else min(span, FULL_TURN)
     measured = min(float(np.ptp(q)) / whole, 1.0) if whole > 0 else 0.0
-    return JointRange(name, kind, (low, high) if limited else None, seen, share, measured)
+    return JointRange(name, kind, (low, high) if limited else None, extremes, share, measured)
 
 
 def narrow_joints(outcome: Outcome) -> list[JointRange]:
     """Joints of which less than half of the range, or of one turn, was measured."""
-    return [j for j in joint_ranges(outcome) if j.measured < NARROW]
+    return [j for j in joint_ranges(outcome) if j.measured < NARROW_SHARE]
 
 
 def final_halves(outcome: Outcome) -> Halves | None:
-    """What halves of the rows say of the final model; None where that was not asked or could not be."""
+    """Halves of the rows under the final model; None where these were not asked for, or there are too few rows."""
     return None if outcome.second_look is None else outcome.second_look.halves["final"]
 
 
 def generalisation(outcome: Outcome) -> float | None:
     """RMS error on held-out rows over that on fitted rows; None with few held-out rows or an exact fit."""
     parts, last = outcome.parts(), outcome.stages[-1].residual
-    if parts["test"].sum() < FEW:
+    if parts["test"].sum() < LEAST_HELD_OUT:
         return None
     fitted, held_out = (overall(last, parts[part], outcome.measurements, outcome.noise) for part in ("train", "test"))
     return held_out / fitted if fitted > 0 else None
 
 
 def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
-    """How well the target is known, and how far the rows are off, both at the target, [mm]; None where no row sees its place.
+    """Uncertainty of the target and error of the rows, both at the target, [mm]; None where no row tells the target's place.
 
     Returns:
         The median 1-sigma of the target in its worst direction, and the RMS of the smallest shifts that explain the rows.
@@ -312,9 +316,11 @@ def sigma_and_error(outcome: Outcome) -> tuple[float, float] | None:
 def axis_rms(residual: np.ndarray, channels: Channels) -> np.ndarray:
     """RMS of each axis of residuals (N, m) in the unit that is shown, shape (m,); NaN where no row has measured it."""
     scale = spread(np.array([channel.scale for channel in channels]), channels)
-    there = ~np.isnan(residual)
-    squares = np.where(there, residual, 0.0) ** 2
-    return np.asarray(scale * np.sqrt(squares.sum(axis=0) / np.where(there.any(axis=0), there.sum(axis=0), np.nan)))
+    measured = ~np.isnan(residual)
+    squares = np.where(measured, residual, 0.0) ** 2
+    return np.asarray(
+        scale * np.sqrt(squares.sum(axis=0) / np.where(measured.any(axis=0), measured.sum(axis=0), np.nan))
+    )
 
 
 def worst_rows(outcome: Outcome, count: int) -> np.ndarray:
@@ -324,9 +330,9 @@ def worst_rows(outcome: Outcome, count: int) -> np.ndarray:
     return rows[np.argsort(-error, kind="stable")[:count]]
 
 
-def corrected(p_value: float, asked: int) -> float:
+def corrected(p_value: float, questions: int) -> float:
     """A p-value corrected for the number of questions that were asked (Bonferroni): min(1, asked * p)."""
-    return min(1.0, p_value * asked)
+    return min(1.0, p_value * questions)
 
 
 def strays(order: Order) -> int:
@@ -336,7 +342,7 @@ def strays(order: Order) -> int:
 
 def slowly_changing(order: Order) -> bool:
     """Whether consecutive rows have similar residuals: too few changes of sign, or too many correlations off the band."""
-    return order.p_value < SURE or strays(order) / len(order.lags) > STRAYING
+    return order.p_value < SURE or strays(order) / len(order.lags) > STRAY_SHARE
 
 
 def clear_traces(outcome: Outcome) -> list[Trace]:
@@ -344,6 +350,6 @@ def clear_traces(outcome: Outcome) -> list[Trace]:
     return sorted(outcome.traces.strongest, key=lambda t: t.after.p_value)
 
 
-def significant(trace: Trace, asked: int) -> bool:
+def significant(trace: Trace, questions: int) -> bool:
     """Whether a dependence is more than chance gives among so many."""
-    return trace.after.p_value * asked <= SURE
+    return trace.after.p_value * questions <= SURE

@@ -1,4 +1,4 @@
-"""What was found of a measuring head: its numbers, its mounting, and how well image points and ranges of single shots agree."""
+"""The identified measuring head: its numbers, its mounting, and how well image points and ranges of single shots agree."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from aridcal.engine.rows.dataset import Dataset, with_places
 from aridcal.jobs.calibrate.closed_form import ClosedForm, closed_form
 from aridcal.jobs.head1992.observations import Detections
 
-WILD = 4.0
-"""Times the usual misfit beyond which a shot counts less in what is said of all: noise alone does not do that."""
+WILD_MISFIT = 4.0
+"""Times the usual misfit beyond which a shot counts less in the mean of all: noise alone does not reach it."""
 
-DOUBTFUL = 1.3
-"""Times the stated noise, or that part of it, that is worth a word: stated noise is good to about 30 %."""
+DOUBTFUL_NOISE = 1.3
+"""Ratio of measured to declared noise, either way, that is worth a notice: declared noise is good to about 30 %."""
 
-ENOUGH = 20
+LEAST_SHOTS = 20
 """Shots that tell a sonar's noise to 16 %."""
 
-ASTRAY = 1.0
-"""[px] by which a declared lens may miss at an edge of the image: fiducials that are looked for so near are found as well."""
+LENS_TOLERANCE = 1.0
+"""[px] by which a declared lens may be off at an edge of the image: so near, fiducials are detected just as well."""
 
 MOUNTING = "tip_target is the camera's mounting on the tip, T_tip_camera; head.yaml gives only its starting value"
-"""What is said of every head."""
+"""Notice for every head."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class HeadNumber:
 
 @dataclass(frozen=True)
 class MeasuringHead:
-    """What was found of the measuring head.
+    """The identified measuring head.
 
     Attributes:
-        numbers: All of them.
-        misfit: RMS of what shots have beyond their poses, in sigmas: with the head as declared and as identified.
-        ranges: RMS of what each sonar reads beyond the poses, likewise, shape (2, S), [m].
-        fiducials: Columns of the cache of what was found in the images.
+        numbers: All its numbers.
+        misfit: RMS residual of shots after the fit of their poses, in sigmas: with the head as declared and as identified.
+        ranges: RMS residual of each sonar, likewise, shape (2, S), [m].
+        fiducials: Columns of the cache of detections in the images.
         mount: T_tip_camera as declared and as identified, shape (2, 4, 4).
         closed_form: The report's own answer on the same poses; None for an arm that is not the ARID's like.
         notices: Sentences that the user should read.
@@ -74,50 +74,52 @@ class MeasuringHead:
     notices: tuple[str, ...]
 
 
-def lens_found(geometric: Fit, final: Fit, found: Detections) -> np.ndarray | None:
+def lens_found(geometric: Fit, final: Fit, detections: Detections) -> np.ndarray | None:
     """Intrinsics of the camera as identified, shape (9,), where fiducials should be looked for again with them; else None.
 
     Args:
         geometric: Constants of the arm, the head as declared.
         final: Fitted arm and head.
-        found: In the images.
+        detections: Detections in the images.
     """
     moved = with_things_moved(geometric, final)
-    if moved is None or not found.images:
+    if moved is None or not detections.images:
         return None
     lens = Head.of_state(moved.states[HEAD][0]).intrinsics
-    fx, fy, cx, cy = found.intrinsics[:4]
-    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, 3) for size in found.size))
+    fx, fy, cx, cy = detections.intrinsics[:4]
+    u, v = np.meshgrid(*(np.linspace(0.0, size - 1.0, 3) for size in detections.size))
     points = np.column_stack([(u.ravel() - cx) / fx, (v.ravel() - cy) / fy, np.ones(u.size)])
-    declared, identified = (predict_pixels(np.eye(4), points, each)[0] for each in (found.intrinsics, lens))
-    return lens if np.abs(identified - declared).max() > ASTRAY else None
+    declared, identified = (predict_pixels(np.eye(4), points, each)[0] for each in (detections.intrinsics, lens))
+    return lens if np.abs(identified - declared).max() > LENS_TOLERANCE else None
 
 
-def measuring_head(final: Fit, geometric: Fit, rows: Dataset, fitted: np.ndarray, found: Detections) -> MeasuringHead:
-    """What was found of the head.
+def measuring_head(
+    final: Fit, geometric: Fit, rows: Dataset, fitted: np.ndarray, detections: Detections
+) -> MeasuringHead:
+    """Sum up the measuring head after the fit.
 
     Args:
         final: Fitted arm and head.
         geometric: Constants of the arm, the head as in the final fit.
         rows: N shots.
-        fitted: Those that count, shape (N,) bool.
-        found: In the images.
+        fitted: Rows that count, shape (N,) bool.
+        detections: Detections in the images.
     """
     declared = Head.of_state(rows.instruments.things[HEAD].start[0])
     numbers = _numbers(final, declared)
     identified = replace(declared, phi=np.array([n.value for n in numbers]))
     shots = unpacked(rows.observed, len(declared.positions))
-    both = [reduced(shots, head) for head in (declared, identified)]
-    misfit = _scatter(both[0]), _scatter(both[1])
-    ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in both])
-    seen = with_places(rows, both[1].position, both[1].rotation)
+    shots_by_head = [reduced(shots, head) for head in (declared, identified)]
+    misfit = _scatter(shots_by_head[0]), _scatter(shots_by_head[1])
+    ranges = np.array([np.sqrt(np.mean(r.range_residuals**2, axis=0)) for r in shots_by_head])
+    with_poses = with_places(rows, shots_by_head[1].position, shots_by_head[1].rotation)
     return MeasuringHead(
         numbers=numbers,
         misfit=misfit,
         ranges=ranges,
-        fiducials={str(name): found.fiducials[name].to_numpy() for name in found.fiducials},
-        mount=np.array([found.mount, final.model.frames(final.theta)[1][0][1].homogeneous]),
-        closed_form=closed_form(geometric, seen, fitted),
+        fiducials={str(name): detections.fiducials[name].to_numpy() for name in detections.fiducials},
+        mount=np.array([detections.mount, final.model.frames(final.theta)[1][0][1].homogeneous]),
+        closed_form=closed_form(geometric, with_poses, fitted),
         notices=_notices(identified, misfit[1], ranges[1], len(rows)),
     )
 
@@ -141,23 +143,23 @@ def _numbers(final: Fit, declared: Head) -> tuple[HeadNumber, ...]:
     )  # fmt: skip
 
 
-def _scatter(found: Reduced) -> float:
-    """How many times their noise image points and ranges miss each other by within shots, RMS; wild shots count less."""
-    share = found.misfit / np.maximum(found.freedom, 1.0)
+def _scatter(shots: Reduced) -> float:
+    """RMS misfit of image points and ranges within shots, in sigmas; wild shots count less."""
+    share = shots.misfit / np.maximum(shots.freedom, 1.0)
     usual = max(float(np.median(share)), 1.0)
-    trust = np.minimum(1.0, WILD**2 * usual / np.maximum(share, np.finfo(float).tiny))
-    return float(np.sqrt(trust @ found.misfit / max(float(trust @ found.freedom), 1.0)))
+    trust = np.minimum(1.0, WILD_MISFIT**2 * usual / np.maximum(share, np.finfo(float).tiny))
+    return float(np.sqrt(trust @ shots.misfit / max(float(trust @ shots.freedom), 1.0)))
 
 
 def _notices(head: Head, misfit: float, ranges: np.ndarray, shots: int) -> tuple[str, ...]:
-    """What of the head's noise is not as stated."""
-    said = [MOUNTING]
-    if misfit > DOUBTFUL:
-        said.append(
+    """Notices on the mounting, and on noise of the head that is not as declared."""
+    notices = [MOUNTING]
+    if misfit > DOUBTFUL_NOISE:
+        notices.append(
             f"within single shots, image points and ranges scatter by {misfit:.1f} times their stated noise: the camera, "
             "the sonars or their std are not as head.yaml says, in a way that no effect of the head describes"
         )
     for k, rms in enumerate(ranges.tolist()):
-        if shots >= ENOUGH and abs(np.log(rms / head.std)) > np.log(DOUBTFUL):
-            said.append(f"sonar_{k + 1} scatters by {1e3 * rms:.2g} mm, not the stated {1e3 * head.std:.2g} mm")
-    return tuple(said)
+        if shots >= LEAST_SHOTS and abs(np.log(rms / head.std)) > np.log(DOUBTFUL_NOISE):
+            notices.append(f"sonar_{k + 1} scatters by {1e3 * rms:.2g} mm, not the stated {1e3 * head.std:.2g} mm")
+    return tuple(notices)

@@ -1,4 +1,4 @@
-"""Everything a calibration found, ready to be written down: stages, and their errors on fitted and held-out rows."""
+"""Everything that a calibration results in: stages, and their errors on fitted and held-out rows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ STATISTICS = ("rms", "mean", "median", "p95", "max")
 
 @dataclass(frozen=True)
 class Stage:
-    """One model and what it leaves.
+    """One model and its residual.
 
     Attributes:
         name: ``nominal``, ``geometric`` or ``final``.
@@ -53,9 +53,9 @@ class Verification:
         file: Where it came from.
         measurements: Its rows.
         residuals: Measured minus predicted of each stage, shape (N, m).
-        outlier: Rows that are off by more than 10 robust scales even with the frames fitted anew, shape (N,).
-        realigned: The final stage's after fitting the two frames anew: what remounting target or tracker changed.
-        copied: Rows of the table that the campaign has itself: they are left out.
+        outlier: Rows that are off by more than 10 robust scales even with the frames fitted anew, shape (N,) bool.
+        realigned: Residual of the final stage after fitting the two frames anew: remounting target or tracker has no part in it.
+        copied: Number of rows of the table that the campaign has itself: they are left out.
     """
 
     file: str
@@ -67,7 +67,7 @@ class Verification:
 
     @property
     def left_out(self) -> str:
-        """What is to be said of rows that were left out; empty if none were."""
+        """The notice on rows that were left out; empty if none were."""
         if not self.copied:
             return ""
         return (
@@ -81,7 +81,7 @@ class Outcome:
     """The result of one campaign.
 
     Attributes:
-        campaign: What was asked.
+        campaign: The job.
         robot: The nominal chain.
         measurements: All usable rows.
         stages: nominal, geometric, final.
@@ -90,7 +90,7 @@ class Outcome:
         noise_source: ``declared`` or ``estimated``.
         repeats: Rows that repeat a configuration; None where there are none.
         precision: Uncertainty of the target.
-        verdict: What may be said of what remains.
+        verdict: The decision on what remains.
         notices: Sentences that the user should read.
         seconds: Wall time.
         verification: Another day's data, if it was given.
@@ -99,7 +99,7 @@ class Outcome:
         head: The measuring head, for ``kind: camera_sonar``.
         certainty: How well the target is known over the workspace, and what a region keeps within; None for a repair.
         causes: What the scatter of the rows is made of; None where that was not asked.
-        second_look: What its rows say of the calibration when they are asked part by part; None where that was not asked.
+        second_look: What parts of its rows say of the calibration; None where that was not asked.
     """
 
     campaign: Campaign
@@ -124,13 +124,13 @@ class Outcome:
 
     @property
     def scatter(self) -> np.ndarray:
-        """What noise of all causes makes of each channel per axis, shape (C,): the instrument's, and what was found beyond it."""
+        """Scatter of each channel per axis, shape (C,): the instrument's noise together with all causes beyond it."""
         beyond = self.causes.beyond if self.causes is not None else np.zeros(len(self.noise))
         return np.hypot(self.noise, beyond)
 
     @property
     def channels(self) -> Channels:
-        """What each row measures."""
+        """Channels of the rows."""
         return self.measurements.channels
 
     @property
@@ -140,12 +140,12 @@ class Outcome:
 
     @cached_property
     def at_target(self) -> AtTarget:
-        """What the rows mean at the target where the final model has it."""
+        """The rows as seen from the target of the final model."""
         return at_target(self.stages[-1].fit, self.measurements)
 
     @cached_property
     def things(self) -> tuple[ThingValue, ...]:
-        """What was found of the things that the rows refer to."""
+        """Identified numbers of the things that the rows refer to."""
         m = self.measurements
         return thing_values(self.stages[-1].fit, m.fitted)
 
@@ -162,7 +162,7 @@ class Outcome:
         return next(s for s in self.stages if s.name == name)
 
     def parts(self) -> dict[str, np.ndarray]:
-        """Masks of the rows scored: ``train`` and ``test`` without outliers, ``test_all`` with them."""
+        """Masks of the rows that are scored: ``train`` and ``test`` without outliers, ``test_all`` with them."""
         test = self.measurements.test
         return {"train": ~test & ~self.outlier, "test": test & ~self.outlier, "test_all": test}
 
@@ -173,7 +173,7 @@ def errors(residual: np.ndarray, mask: np.ndarray, channels: Channels) -> dict[s
     Args:
         residual: Shape (N, m), [m] and [rad].
         mask: Rows to count, shape (N,).
-        channels: Of the residual.
+        channels: Channels of the residual.
 
     Returns:
         For each channel's key, ``position_mm`` for instance, rms, mean, median, p95 and max of the norm of its residual over
@@ -195,12 +195,12 @@ def said(residual: np.ndarray, mask: np.ndarray, rows: Dataset) -> str:
     Args:
         residual: Of the rows that ``mask`` chooses from, shape (N, m).
         mask: Shape (N,).
-        rows: Whose channels these are.
+        rows: All N rows, for their channels.
     """
-    found = errors(residual, mask, rows.channels)
+    figures = errors(residual, mask, rows.channels)
     channels = [rows.channels[k] for k in leading(rows)]
-    seen = [c for c in channels if not np.isnan(found[c.key]["rms"])] or channels[:1]
-    return enumerated([f"{found[c.key]['rms']:.3f} {c.shown}" for c in seen])
+    measured = [c for c in channels if not np.isnan(figures[c.key]["rms"])] or channels[:1]
+    return enumerated([f"{figures[c.key]['rms']:.3f} {c.shown}" for c in measured])
 
 
 def statistics(values: np.ndarray) -> dict[str, float]:

@@ -42,7 +42,7 @@ from aridcal.files.quantities import computed
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
-from aridcal.jobs.calibrate.groups import LEAST, groups
+from aridcal.jobs.calibrate.groups import LEAST_SHARE, groups
 from aridcal.jobs.calibrate.job_inputs import Job, looked_again, read_job
 from aridcal.jobs.calibrate.limb_redundancies import limb_redundancies
 from aridcal.jobs.calibrate.measuring_head import lens_found, measuring_head
@@ -55,32 +55,32 @@ from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.freed import give_back
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
-"""Told what frames and constants leave of the rows, None if nothing can be made of them; may refuse them and say why."""
+"""Gets the rows and the fit of frames and constants, None if there is none; may refuse the rows and say why."""
 
-TELLING = 3
+LEAST_NUMBERS = 3
 """Numbers of a row that are not equal twice by chance; a gauge's one, to hundredths of a millimetre, often is."""
 
-SAME = 1e-8
-"""By less than that, in [rad] or [m], joints and what was measured differ in a copy, which may have been written anew."""
+COPY_TOLERANCE = 1e-8
+"""[rad] or [m]: joints and measurement of a copy differ by less; it may have been written with other digits."""
 
-TRACED = 50_000
-"""Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need not."""
+TRACED_ROWS = 50_000
+"""Rows at the most whose residuals are traced to joints and columns: these tell it by a chance of 1e-300."""
 
 ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"
 )
-"""What is said of them: their errors are the same, so that three of them know no more than one."""
+"""Notice on such targets: their errors are the same, so that three of them know no more than one."""
 
 NOT_SOUGHT = (
     "effects were not sought: {:.0f} % of the measured numbers are left to judge a model by, and {:.0f} % are needed"
 )
-"""What is said where rows are too few for a search."""
+"""Notice where rows are too few for a search."""
 
 NO_MEASUREMENT = (
     "{} are what the controller's own model makes of its joints, and no measurement: a calibration to them gives that "
     "model back"
 )
-"""What is said where the columns of a campaign are those of a controller."""
+"""Notice where the columns of a campaign are those of a controller."""
 
 ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: they count as {:.0f} independent ones"
 
@@ -93,7 +93,7 @@ class Judged:
         stages: nominal, geometric, final.
         outlier: Flagged rows, shape (N,).
         repeats: Rows that repeat a configuration; None where there are none.
-        clues: Answers of all questions to the residual.
+        clues: Answers of all tests of the residual.
         verdict: The decision.
     """
 
@@ -116,21 +116,21 @@ def identify(
     """Run a campaign up to its outcome.
 
     Args:
-        job: The campaign, the path of its ``campaign.yaml``, or what was read of it already.
+        job: The campaign, the path of its ``campaign.yaml``, or the job that was read from it already.
         seed: Of the split into train and test, where the table has none.
         verify: Another day's table, to be scored.
         progress: Called with what is being done.
         cache: ``fiducials.csv`` of an earlier run on the same images, if there is one.
-        judge: Asked about a table of poses before effects are sought.
-        choose: Gives the rows to calibrate from, of those that were read.
+        judge: Called with the rows and their first fit before effects are sought.
+        choose: From all rows of the job to the rows to calibrate from.
 
     Raises:
         AridcalError: whatever in the input needs mending.
     """
     if not isinstance(job, Job):
         job = read_job(job, seed, progress, cache, verify is not None)
-    # read before the work is done: a table that is no other day's is told of at once
-    other = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
+    # read before the work is done, so that a table of the campaign's own rows is refused at once
+    verification_rows = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
     arm, where = _calibrated(job, choose, judge, progress)
     lens = None if job.detections is None else lens_found(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
     if lens is not None:
@@ -138,9 +138,9 @@ def identify(
         job = looked_again(job, lens, progress)
         arm, where = _calibrated(job, choose, judge, progress)
     outcome = _outcome(job.campaign, job.robot, arm, where, job.still, job.detections, progress)
-    if other is not None:
+    if verification_rows is not None:
         progress("scoring another day's measurements")
-        outcome = replace(outcome, verification=_scored(outcome, *other))
+        outcome = replace(outcome, verification=_scored(outcome, *verification_rows))
     return replace(outcome, seconds=time.perf_counter() - job.started)
 
 
@@ -173,21 +173,23 @@ def _outcome(
     detections: Detections | None,
     progress: Progress,
 ) -> Outcome:
-    """Score every stage of a calibrated arm, and ask what remains."""
+    """Score every stage of a calibrated arm, and examine what remains."""
     progress("scoring")
     give_back()  # what the fits took: here and below the most memory is wanted
     rows, diagnosed = arm.rows, arm.diagnosed
     train = rows.fitted
-    known = judged(arm, progress)
-    stages, outlier, final = known.stages, known.outlier, known.stages[-1].fit
-    kept = rows.select(~outlier)
-    traced = np.flatnonzero(~outlier)[stretches(kept.sequence, TRACED)]
+    judgement = judged(arm, progress)
+    stages, outlier, final = judgement.stages, judgement.outlier, judgement.stages[-1].fit
+    inliers = rows.select(~outlier)
+    traced = np.flatnonzero(~outlier)[stretches(inliers.sequence, TRACED_ROWS)]
     progress("fitting halves of the rows apart")
-    again = second_look(stages[1].fit, diagnosed.fit, train, progress)
-    asked = asked_constants(campaign.question, robot, rows)
+    look = second_look(stages[1].fit, diagnosed.fit, train, progress)
+    constants = asked_constants(campaign.question, robot, rows)
     progress("working out how well the target is known")
     give_back()
-    certain = certainty(wanted(campaign), final, rows, asked, where, outlier, stages[-1].residual, known.repeats)
+    certain = certainty(
+        wanted(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
+    )
     stages = with_instruments_found(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     known_to = precision(final, train)
@@ -200,11 +202,11 @@ def _outcome(
         outlier=outlier,
         noise=final.sigma,
         noise_source="declared" if all(rows.sigma) else "estimated",
-        repeats=known.repeats,
+        repeats=judgement.repeats,
         precision=known_to,
-        second_look=again,
+        second_look=look,
         certainty=certain,
-        verdict=known.verdict,
+        verdict=judgement.verdict,
         causes=arm.causes,
         notices=(
             *(head.notices if head is not None else ()),
@@ -215,7 +217,7 @@ def _outcome(
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
             *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
-            *_searched(train, len(kept), campaign, arm.geometry.geometric),
+            *_searched(train, len(inliers), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
             *limb_redundancies(arm.geometry.geometric),
@@ -223,13 +225,13 @@ def _outcome(
         ),
         seconds=0.0,
         traces=trace(final, rows.select(traced), stages[1].residual[traced], stages[2].residual[traced], progress),
-        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, known.clues),
+        diagnosis=explain(diagnosed, rows, rows.test & ~outlier, judgement.clues),
         head=head,
     )
 
 
 def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
-    """Sentences on rows that count for less than one, as they are not independent."""
+    """Sentences on rows that count for less than one each, since they are not independent."""
     bodies = targets_of_one_body(rows, float(final.estimated[0]))
     if bodies > 1:
         yield ONE_BODY.format(bodies)
@@ -238,66 +240,66 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
         yield ONE_PLACE.format(len(rows), place.max() + 1, rows.repeats.share * len(rows))
 
 
-def _searched(train: Dataset, kept: int, campaign: Campaign, geometric: Fit) -> Iterator[str]:
-    """Sentences on what was asked of some of the rows only, as there are many, or of none, as there are few."""
+def _searched(train: Dataset, inliers: int, campaign: Campaign, geometric: Fit) -> Iterator[str]:
+    """Sentences on questions put to a part of many rows only, and on a search for which there are too few rows."""
     sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
     if sought and is_short(geometric):
         yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
     elif sought and len(train) > SEARCHED:
-        more = np.sqrt(len(train) / SEARCHED)
+        factor = np.sqrt(len(train) / SEARCHED)
         yield (
             f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
-            f"must be {more:.1f} times as large as in a search of all rows"
+            f"must be {factor:.1f} times as large as in a search of all rows"
         )
-    if kept > ASKED:
-        yield f"whether what remains is noise was asked of {ASKED:,} of {kept:,} rows, in {STRETCHES} stretches on end"
+    if inliers > ASKED:
+        yield f"whether what remains is noise was asked of {ASKED:,} of {inliers:,} rows, in {STRETCHES} stretches on end"
 
 
 def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
-    """Stages of which the constants are those of instruments as the last has them: they go into the URDF.
+    """The stages, the geometric constants refitted with the instruments of the final stage: they go into the URDF.
 
-    What the geometric stage leaves of the rows stays what it leaves with the instruments as declared.
+    The residual of the geometric stage stays that with the instruments as declared.
     """
     nominal, geometric, final = stages
-    found = with_things_moved(geometric.fit, final.fit)
-    if found is None:
+    model = with_things_moved(geometric.fit, final.fit)
+    if model is None:
         return stages
-    again = recentred(fit(problem(found, train), geometric.fit.theta))
-    kept = replace(again, candidates=geometric.fit.candidates, redundant=geometric.fit.redundant)
-    return nominal, replace(geometric, fit=kept), final
+    refit = recentred(fit(problem(model, train), geometric.fit.theta))
+    geometric_fit = replace(refit, candidates=geometric.fit.candidates, redundant=geometric.fit.redundant)
+    return nominal, replace(geometric, fit=geometric_fit), final
 
 
 def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
-    """Fit every stage with the final model's flags, ask the residuals all questions, and decide what may be said."""
+    """Fit every stage with the final model's flags, put all questions to the residuals, and decide on the verdict."""
     rows = arm.rows
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
     final, last = stages[-1].fit, stages[-1].residual
-    kept, left = rows.select(~outlier), scaled(last, rows.relative)
-    white, raw = (r[~outlier] if outlier.any() else r for r in (left, last))
-    # Repeats are set beside the residual that they are part of: both divided by what the rows' noise is known to be.
-    # Of several targets of one body one is asked: the others err like it, whatever the model.
-    one_each = kept, white
+    inliers, residual = rows.select(~outlier), scaled(last, rows.relative)
+    white, raw = (r[~outlier] if outlier.any() else r for r in (residual, last))
+    # Repeats are compared with the residuals that they are part of: both are divided by the known noise of the rows.
+    # Of several targets of one body one row counts: the others err like it, whatever the model.
+    one_each = inliers, white
     if rows.repeats.share < 1.0:
-        first = np.unique(held_together(kept), return_index=True)[1]
-        one_each = kept.select(first), white[first]
-    asked = clues(*one_each, repeats(kept, white), _freedom(final), final, progress)
-    asked += row_clues(rows, final, left, outlier)
-    asked += _groups(rows, final, left, outlier)
+        first = np.unique(held_together(inliers), return_index=True)[1]
+        one_each = inliers.select(first), white[first]
+    answers = clues(*one_each, repeats(inliers, white), _freedom(final), final, progress)
+    answers += row_clues(rows, final, residual, outlier)
+    answers += _groups(rows, final, residual, outlier)
     effects = [active.effect for active in arm.diagnosed.found.state.active]
-    scatter = repeats(kept, raw)
-    seen = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
-    known = all(s is not None or f > 0 for s, f in zip(rows.sigma, seen.tolist(), strict=True))
+    scatter = repeats(inliers, raw)
+    freedom = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
+    noise_known = all(s is not None or f > 0 for s, f in zip(rows.sigma, freedom.tolist(), strict=True))
     setting = gravity_direction(arm.geometry.geometric, rows.fitted)
-    said = decide(asked, effects, min(_freedom(final), arm.geometry.free), known, setting)
-    return Judged(stages, outlier, scatter, tuple(asked), said)
+    verdict = decide(answers, effects, min(_freedom(final), arm.geometry.free), noise_known, setting)
+    return Judged(stages, outlier, scatter, tuple(answers), verdict)
 
 
 def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
-    """Whether some rows are shifted by one vector; of rows that are not independent one each.
+    """Whether some rows are shifted by one vector; of rows that are not independent one counts.
 
-    A group that stands far out is flagged row by row, and is asked about with the others.
+    A group that stands far out is flagged row by row: if it is large enough, flagged rows are looked at, too.
     """
-    some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST else ~outlier
+    some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST_SHARE else ~outlier
     if rows.repeats.share < 1.0:
         some = np.flatnonzero(some)[np.unique(held_together(rows.select(some)), return_index=True)[1]]
     elif some.all():  # of many rows a copy counts
@@ -306,7 +308,7 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
 
 
 def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
-    """Sentences on effects of a side of approach that no column gave."""
+    """Sentences on effects of a side of approach that was derived from the order of the rows."""
     needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.origin.derived]
     return tuple(
         f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
@@ -315,12 +317,12 @@ def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
 
 
 def _freedom(fit: Fit) -> float:
-    """Share of the numbers measured that is left after fitting."""
+    """Degrees of freedom of a fit, as a share of the measured numbers."""
     return float(1.0 - fit.spent / max(fit.numbers, 1.0))
 
 
 def _size(campaign: Campaign, robot: Robot, rows: Dataset) -> Size:
-    """How large the calibration will be."""
+    """Size of a calibration, for the forecast of its memory."""
     question = campaign.question
     return Size(
         coefficients=len(asked_constants(question, robot, rows)),
@@ -336,27 +338,29 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
     """Every stage fitted with the final model's flags, and the flags of all rows."""
     train = rows.fitted
     stages: list[Stage] = []
-    for name, found in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
-        if not np.array_equal(found.outliers, final.outliers):
-            again = fit(problem(found.model, train, progress), found.theta, final.weight)
-            tried = {"restarts": found.convergence.restarts, "agreed": found.convergence.agreed}
-            convergence = replace(again.convergence, **tried)
-            found = replace(again, candidates=found.candidates, redundant=found.redundant, convergence=convergence)
-        found = recentred(with_noise_seen(found, train, progress) if name == "final" else found)
-        same = bool(stages) and _alike(stages[-1].fit, found)
-        residual = stages[-1].residual if same else problem(found.model, rows).residual(found.theta)
-        stages.append(Stage(name, found, residual))
-    left = [scaled(stage.residual, rows.relative) for stage in stages]
-    return tuple(stages), outliers(rows.train, final.outliers, left, rows.channels)
+    for name, stage_fit in (("nominal", geometry.nominal), ("geometric", geometry.geometric), ("final", final)):
+        if not np.array_equal(stage_fit.outliers, final.outliers):
+            refit = fit(problem(stage_fit.model, train, progress), stage_fit.theta, final.weight)
+            tried = {"restarts": stage_fit.convergence.restarts, "agreed": stage_fit.convergence.agreed}
+            convergence = replace(refit.convergence, **tried)
+            stage_fit = replace(
+                refit, candidates=stage_fit.candidates, redundant=stage_fit.redundant, convergence=convergence
+            )
+        stage_fit = recentred(with_noise_seen(stage_fit, train, progress) if name == "final" else stage_fit)
+        same = bool(stages) and _alike(stages[-1].fit, stage_fit)
+        residual = stages[-1].residual if same else problem(stage_fit.model, rows).residual(stage_fit.theta)
+        stages.append(Stage(name, stage_fit, residual))
+    residuals = [scaled(stage.residual, rows.relative) for stage in stages]
+    return tuple(stages), outliers(rows.train, final.outliers, residuals, rows.channels)
 
 
 def _alike(one: Fit, other: Fit) -> bool:
-    """True of fits that predict the same: a search that finds nothing leaves the model as it is."""
-    here, there = one.model, other.model
-    if here.states or there.states or here.around is not there.around:
+    """True if two fits predict the same: a search without result leaves the model as it is."""
+    model, other_model = one.model, other.model
+    if model.states or other_model.states or model.around is not other_model.around:
         return False
-    frames = here.world_base == there.world_base and here.tip_target == there.tip_target
-    return frames and here.coefficients == there.coefficients and np.array_equal(one.theta, other.theta)
+    frames = model.world_base == other_model.world_base and model.tip_target == other_model.tip_target
+    return frames and model.coefficients == other_model.coefficients and np.array_equal(one.theta, other.theta)
 
 
 def score(outcome: Outcome, table: AnyTable) -> Verification:
@@ -372,13 +376,13 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
     return _scored(outcome, *other_day(outcome.campaign, outcome.robot, outcome.measurements, table))
 
 
-def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -> tuple[Dataset, int]:
+def other_day(campaign: Campaign, robot: Robot, campaign_rows: Dataset, table: AnyTable) -> tuple[Dataset, int]:
     """Read another day's rows.
 
     Args:
         campaign: Says how the table is written.
         robot: The nominal chain.
-        own: The campaign's own rows, fitted and held out.
+        campaign_rows: The campaign's own rows, fitted and held out.
         table: Measurements in the columns and units of the campaign's own.
 
     Returns:
@@ -391,8 +395,8 @@ def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -
     rows = with_directions(
         load_measurements(campaign, robot.readings, limits, kinds, robot=robot, files=[table], fitted=False)
     )
-    copied = _copied(rows, own)
-    if copied.all() or rows.origin.sha256 == own.origin.sha256:
+    copied = _copied(rows, campaign_rows)
+    if copied.all() or rows.origin.sha256 == campaign_rows.origin.sha256:
         raise MeasurementError(
             f"{rows.title}: all {len(rows)} rows are the campaign's own, with the same joints and the same measurements, "
             "and say nothing of another day. Give --verify what was measured at another time; how well held-out rows are met "
@@ -401,26 +405,32 @@ def other_day(campaign: Campaign, robot: Robot, own: Dataset, table: AnyTable) -
     return rows.select(~copied), int(copied.sum())
 
 
-def _copied(rows: Dataset, own: Dataset) -> np.ndarray:
-    """Rows that others hold too, joints and measurement, shape (N,)."""
+def _copied(rows: Dataset, campaign_rows: Dataset) -> np.ndarray:
+    """Rows whose joints and measurement are in another data set, too, shape (N,) bool."""
     from scipy.spatial import cKDTree  # slow to load
 
-    width = max(rows.observed.shape[1], own.observed.shape[1])
-    nearest, _ = cKDTree(_numbers(own, width)).query(_numbers(rows, width), p=np.inf, distance_upper_bound=SAME)
-    tells = np.isfinite(rows.observed).sum(axis=1) >= TELLING
+    width = max(rows.observed.shape[1], campaign_rows.observed.shape[1])
+    nearest, _ = cKDTree(_numbers(campaign_rows, width)).query(
+        _numbers(rows, width), p=np.inf, distance_upper_bound=COPY_TOLERANCE
+    )
+    tells = np.isfinite(rows.observed).sum(axis=1) >= LEAST_NUMBERS
     return np.asarray(np.isfinite(nearest) & tells)
 
 
 def _numbers(rows: Dataset, width: int) -> np.ndarray:
-    """Joints and measurement of each row, ``width`` numbers of another kind than poses among them, shape (N, numbers)."""
+    """Joints and measurement of each row, the measurement padded to ``width`` numbers, shape (N, columns + width)."""
     observed = np.full((len(rows), width), np.nan)
     observed[:, : rows.observed.shape[1]] = rows.observed
-    return np.nan_to_num(np.hstack([rows.readings, observed]), nan=-1e9)  # a hole is like a hole alone
+    return np.nan_to_num(np.hstack([rows.readings, observed]), nan=-1e9)  # a hole is near another hole only
 
 
 def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
-    asked = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
-    again = realigned(asked["final"][1], asked["final"][0])
-    outlier = distance(again, robust_sigma(again, rows.channels), rows.channels) > FAR
-    residuals = {name: question.residual(found.theta) for name, (question, found) in asked.items()}
-    return Verification(rows.origin.files[0].name, rows, residuals, outlier, unscaled(again, rows.relative), copied)
+    stage_problems = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
+    after_realigning = realigned(stage_problems["final"][1], stage_problems["final"][0])
+    outlier = distance(after_realigning, robust_sigma(after_realigning, rows.channels), rows.channels) > FAR
+    residuals = {
+        name: fit_problem.residual(stage_fit.theta) for name, (fit_problem, stage_fit) in stage_problems.items()
+    }
+    return Verification(
+        rows.origin.files[0].name, rows, residuals, outlier, unscaled(after_realigning, rows.relative), copied
+    )

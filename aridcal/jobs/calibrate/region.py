@@ -1,4 +1,4 @@
-"""Where the target is to be known: the configurations of a region, as a campaign or a table names it."""
+"""The configurations of a region where the target is to be known, as a campaign or a table names it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from aridcal.files.tables import read_tables
 from aridcal.system.errors import CampaignError, MeasurementError, nearest
 
 Reach = Callable[[np.ndarray], np.ndarray]
-"""Places of the target in the world, shape (R, 3), [m], to readings that bring it there, shape (R, columns)."""
+"""From places of the target in the world, shape (R, 3), [m], to readings that bring it there, shape (R, columns)."""
 
 
 def region_of_table(campaign: Campaign, robot: Robot, path: Path, reach: Reach) -> np.ndarray:
@@ -74,14 +74,14 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     Raises:
         AridcalError: what the campaign names needs mending.
     """
-    asked, robot = campaign.region, fit.model.robot
-    if asked.file is None and not asked.joints:
+    settings, robot = campaign.region, fit.model.robot
+    if settings.file is None and not settings.joints:
         return None
-    if asked.file is None:
+    if settings.file is None:
         return spread_out(
             *corners(campaign, robot, np.nanmin(train.readings, axis=0), np.nanmax(train.readings, axis=0))
         )
-    path = asked.file
+    path = settings.file
 
     def reach(places: np.ndarray) -> np.ndarray:
         def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
             covariates = {name: values[like] for name, values in train.conditions.items()}
             station, target = (None if v is None else v[like] for v in (train.labels.station, train.labels.target))
             R, p = fit.model.poses(fit.theta, fit.model.rows(readings, covariates, station, target))
-            return R, p + R @ np.array(asked.tool)
+            return R, p + R @ np.array(settings.tool)
 
         def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
             return p - places[rows]
@@ -104,10 +104,10 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
 
 
 def wanted(campaign: Campaign) -> Wanted:
-    """What a campaign wants the target known for."""
-    asked, tolerance = campaign.region, campaign.tolerance
-    title = "the joint ranges named" if asked.file is None else f"the places of {asked.file.name}"
-    return Wanted(asked.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title)
+    """The point, tolerance and title of the region that a campaign names."""
+    settings, tolerance = campaign.region, campaign.tolerance
+    title = "the joint ranges named" if settings.file is None else f"the places of {settings.file.name}"
+    return Wanted(settings.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title)
 
 
 def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -116,8 +116,8 @@ def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray)
     Args:
         campaign: Names it.
         robot: The chain.
-        low: Readings of joints that are not named, shape (columns,).
-        high: Likewise.
+        low: Lowest readings, for joints that are not named, shape (columns,).
+        high: Highest readings, likewise.
 
     Raises:
         CampaignError: there is no such joint, or it cannot go there.
@@ -125,14 +125,14 @@ def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray)
     low, high = low.copy(), high.copy()
     columns = {campaign.measurements.columns.get(name, name): k for k, name in enumerate(robot.readings)}
     columns |= {name: k for k, name in enumerate(robot.readings)}
-    own = counting(campaign.measurements, robot.readings, robot.kinds)
-    limits = own.cells(robot.limits.T)
+    scales = counting(campaign.measurements, robot.readings, robot.kinds)
+    limits = scales.cells(robot.limits.T)
     for name, ends in campaign.region.joints.items():
         place = f"{campaign.path}: region.joints.{name}"
         if name not in columns:
             raise CampaignError(f"{place}: there is no such joint{nearest(name, columns)}")
         k = columns[name]
-        low[k], high[k] = np.sort(own.sign[k] * (own.unit[k] * np.array(ends) - own.zero[k]))
+        low[k], high[k] = np.sort(scales.sign[k] * (scales.unit[k] * np.array(ends) - scales.zero[k]))
         if low[k] < robot.limits[k, 0] or high[k] > robot.limits[k, 1]:
             first, last = np.sort(limits[:, k])
             raise CampaignError(

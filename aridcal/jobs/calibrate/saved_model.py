@@ -86,7 +86,7 @@ class SolvedModel:
             readings: Shape (N, columns) in the order of ``model.robot.readings``, [rad] or [m].
             covariates: Columns that the effects depend on, each of shape (N,).
             station: Label of each row; needed where a frame is per station.
-            target: That of its target, where stations and targets differ.
+            target: Label of the target of each row, where stations and targets differ.
 
         Returns:
             Rotations (N, 3, 3) and positions (N, 3) in [m].
@@ -106,15 +106,15 @@ class SolvedModel:
         station: np.ndarray | None = None,
         target: np.ndarray | None = None,
     ) -> np.ndarray:
-        r"""How well the target is known in N configurations: the square root of the diagonal of :math:`J \Sigma J^T`.
+        r"""1-sigma of the target in N configurations: the square root of the diagonal of :math:`J \Sigma J^T`.
 
-        J is the target's Jacobian, Sigma the coefficients' covariance: of a smooth function its prior's where nothing was seen.
+        J is the target's Jacobian, Sigma the coefficients' covariance; beyond the rows a smooth function has that of its prior.
 
         Args:
             readings: As for :meth:`poses`.
-            covariates: Likewise.
-            station: Likewise.
-            target: Likewise.
+            covariates: As for :meth:`poses`.
+            station: As for :meth:`poses`.
+            target: As for :meth:`poses`.
 
         Returns:
             1-sigma of the position [m] and of the rotation vector [rad], world axes, shape (N, 6).
@@ -133,19 +133,19 @@ class SavedModel:
 
     Attributes:
         geometric: Frames and constants: the best URDF by itself.
-        final: The same with every accepted effect; right as a whole.
+        final: Frames, constants and every accepted effect; right as a whole.
         kind: ``pose`` or ``position``.
         gravity: As in the campaign: a vector in the base frame, or ``world``.
-        noise: Per axis, [m] and [rad].
-        ranges: Lowest and highest value seen of every joint column and covariate that the model depends on.
-        record: What the file says besides: options, data, versions.
-        holes: Where nothing was seen inside those ranges; none in files from before they were looked for.
+        noise: Noise per axis, [m] and [rad].
+        ranges: Lowest and highest fitted value of every joint column and covariate that the model depends on.
+        record: Other keys of the file: options, data, versions.
+        holes: Holes inside those ranges; none in files of versions that did not look for them.
         largest_std: Largest standard deviation of the predicted position [m], and of the rotation [rad], at the fitted rows, all
             three axes together; infinite in such files.
-        untold: Combinations of constants that no reading told, and that move the target.
-        recorded: Lowest and highest value seen of the other numeric columns of the tables, on which nothing depends.
-        rivals: Causes that the rows could not tell from the effects; none in files from before they were kept.
-        route: Of which link the poses are, and in which; None: of the target, in the world.
+        untold: Combinations of constants that no reading tells, and that move the target.
+        recorded: Lowest and highest fitted value of the other numeric columns of the tables, on which nothing depends.
+        rivals: Causes that the rows could not tell from the effects; none in files of versions that did not keep them.
+        route: Link whose poses are predicted, and the link in whose frame; None: the target in the world.
     """
 
     geometric: SolvedModel
@@ -173,15 +173,15 @@ class SavedModel:
             if block.kind in KINDS
             for role in labelled(block.kind)
         }
-        if labels:  # a table that was measured may be asked about as it is: its labels are none of a target's
+        if labels:  # the measured table itself may be predicted: its labels of instruments are no labels of targets
             changes["ignore"] = (*settings.ignore, *sorted(labels))
         return settings.model_copy(update=changes)
 
     @cached_property
     def expected(self) -> SolvedModel:
-        """The mean over the causes that the rows could not tell apart, the covariance that of the final model as named.
+        """The mean over the causes that the rows could not tell apart, with the covariance of the final model.
 
-        Predictions and commands go by it.
+        Predictions and commands use this model.
         """
         if not self.rivals:
             return self.final
@@ -191,7 +191,7 @@ class SavedModel:
 
     @cached_property
     def doubted(self) -> SolvedModel:
-        """The same, its covariance with what these causes differ by: new rows are set beside that."""
+        """The model :attr:`expected`, its covariance with the differences between those causes: new rows are compared to it."""
         if not self.rivals:
             return self.final
         between = with_rivals(self.final.model, self.final.theta, self.rivals)[2]
@@ -199,32 +199,32 @@ class SavedModel:
 
     @property
     def seen(self) -> dict[str, tuple[float, float]]:
-        """Lowest and highest value seen of every column, whether the model as named depends on it or not."""
+        """Lowest and highest fitted value of every column, whether the final model depends on it or not."""
         return self.recorded | self.ranges
 
     @cached_property
     def assumed(self) -> dict[str, float]:
-        """The middle of what was seen of columns that only rivals depend on: taken where rows do not say."""
+        """Middle of the range of each column that only rivals depend on: taken where rows do not have it."""
         names = set(self.expected.model.needs) - set(self.final.model.needs)
         return {name: float(np.mean(self.seen.get(name, (0.0, 0.0)))) for name in sorted(names)}
 
     def completed(self, covariates: Mapping[str, np.ndarray], rows: int) -> dict[str, np.ndarray]:
-        """Covariates of rows, shape (rows,) each, with what is :attr:`assumed` where they do not say."""
-        found = dict(covariates)
+        """Covariates of rows, shape (rows,) each, filled up with what is :attr:`assumed`."""
+        complete = dict(covariates)
         for name, usual in self.assumed.items():
-            given = found.get(name, np.full(rows, np.nan))
-            found[name] = np.where(np.isnan(given), usual, given)
-        return found
+            values = complete.get(name, np.full(rows, np.nan))
+            complete[name] = np.where(np.isnan(values), usual, values)
+        return complete
 
     def of_link(self, link: str, inside: str | None = None) -> SavedModel:
-        """The same robot asked for the poses of one of its links.
+        """The calibration as one that predicts the poses of a link.
 
         Args:
-            link: Whose.
-            inside: The link in whose frame they are; None: in the world, or in the base where nothing is known in the world.
+            link: The link.
+            inside: Link in whose frame the poses are; None: the world, or the base where nothing is known in the world.
 
         Returns:
-            A model whose rows need the joints of that path, too: those that were not calibrated are nominal.
+            A model whose rows need the joints of that path, too; joints that were not calibrated are nominal.
 
         Raises:
             RobotError: there is no such link, or no joint moves between the two.
@@ -248,7 +248,7 @@ class SavedModel:
         return replace(self, geometric=models[0], final=models[1], kind="pose", route=route)
 
     def limb(self, link: str) -> SavedModel:
-        """The calibration of the chain from the base to a link, as that of a robot that has no other.
+        """The calibration of the chain from the base to a link, as a robot of one limb.
 
         Effects are the mean over the causes that the rows could not tell apart.
 
@@ -262,22 +262,24 @@ class SavedModel:
             return self
         models = []
         for solved in (self.geometric, self.expected):
-            model, own = solved.model.limb(link)
-            models.append(SolvedModel(model, solved.theta[own], solved.covariance[np.ix_(own, own)]))
+            model, coefficients = solved.model.limb(link)
+            models.append(
+                SolvedModel(model, solved.theta[coefficients], solved.covariance[np.ix_(coefficients, coefficients)])
+            )
         elsewhere = set(self.final.model.robot.readings) - set(models[1].model.robot.readings)
-        ranges = {name: seen for name, seen in self.ranges.items() if name not in elsewhere}
-        holes = {name: unseen for name, unseen in self.holes.items() if name not in elsewhere}
+        ranges = {name: pair for name, pair in self.ranges.items() if name not in elsewhere}
+        holes = {name: gaps for name, gaps in self.holes.items() if name not in elsewhere}
         return replace(self, geometric=models[0], final=models[1], rivals=(), ranges=ranges, holes=holes)
 
     @property
     def frames_by(self) -> FramesBy:
-        """Columns that say which frames a row has, where there are several."""
+        """Columns that select the frames of a row, where there are several."""
         by: FramesBy = self.record.get("frames_by", "station")
         return by
 
     @property
     def span(self) -> float:
-        """How long the arm is from its first joint to the target, with the travel that was seen of what slides, [m]."""
+        """Length of the arm from its first joint to the target, with the measured travel of joints that slide, [m]."""
         robot = self.final.model.robot.main
         links = sum(float(np.linalg.norm(step.translation)) for step in robot.onward[1:-1])
         travels = [
@@ -294,33 +296,33 @@ class SavedModel:
     def scatter(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Sigma per axis of rows about the model, [m] and [rad], and the degrees of freedom behind each.
 
-        Where the file does not say it, the noise, as if it had been declared.
+        In files without it, the noise, as if it had been declared.
         """
-        seen = self.record.get("scatter", {})
+        parts = self.record.get("scatter", {})
         pairs = [
-            (float(part["sigma"]), float(part["freedom"])) if (part := seen.get(name)) else (noise, np.inf)
+            (float(part["sigma"]), float(part["freedom"])) if (part := parts.get(name)) else (noise, np.inf)
             for name, noise in zip(("position", "rotation"), self.noise, strict=True)
         ]
         return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
 
     @cached_property
     def wanders(self) -> tuple[Wander, ...]:
-        """What the model may leave that neighbouring places share; none in files from before it was looked for."""
+        """Processes that joint zeros may follow from place to place; none in files of versions that did not look for them."""
         return tuple(Wander(**process) for process in self.record.get("wander", ()))
 
     @property
     def limits(self) -> Limits:
-        """How large tables may be, as the campaign says."""
+        """Limits of the sizes of tables, as the campaign states them."""
         return self.campaign.limits if self.campaign else Limits()
 
     @property
     def controller_zeros(self) -> Mapping[str, float]:
-        """What the controller shows of joints where their readings are zero, [rad] or [m], as the campaign says; else zero."""
+        """What the controller shows for joints whose readings are zero, [rad] or [m], as the campaign states it; else zero."""
         return self.campaign.robot.controller_zeros if self.campaign else {}
 
     @cached_property
     def campaign(self) -> Campaign | None:
-        """What was asked; None where the record has no campaign."""
+        """The campaign of the calibration; None where the record has none."""
         text = self.record.get("campaign")
         return parse_settings(text, Path("the campaign in calibration.yaml"), Campaign) if text else None
 
@@ -342,8 +344,10 @@ class SavedModel:
         except AridcalError as error:
             raise CampaignError(f"{path}: the robot in it: {error}") from None
         except (KeyError, IndexError, ValueError, ArithmeticError) as error:
-            said = f"{type(error).__name__}: {error}"
-            raise CampaignError(f"{path}: its model cannot be computed ({shortened(said, 200)}). {NOT_OURS}") from None
+            reason = f"{type(error).__name__}: {error}"
+            raise CampaignError(
+                f"{path}: its model cannot be computed ({shortened(reason, 200)}). {NOT_OURS}"
+            ) from None
 
     def command(
         self,
@@ -361,7 +365,7 @@ class SavedModel:
                 what the controller's own inverse kinematics says, or the command before.
             covariates: What the effects depend on beside the joints, temperature or ``JOINT_direction`` for instance.
             station: Label of the frames, where they are per station.
-            target: That of the target, where stations and targets differ.
+            target: Label of the target, where stations and targets differ.
 
         Returns:
             The readings, what the model still misses with them, and whether the pose is reached.
@@ -381,7 +385,7 @@ class SavedModel:
         return KINDS[self.kind].turns
 
     def inverse_kinematics(self, station: str | None = None, target: str | None = None) -> InverseKinematics:
-        """Readings for wanted poses of a target at a station; made once for each."""
+        """The solver that brings a target at a station to wanted poses; made once for each."""
         if (station, target) not in self._inverses:
             robot = self.final.model.robot
             turning = np.array([kind != "prismatic" for kind in robot.kinds])
@@ -467,7 +471,7 @@ def _solved_document(solved: SolvedModel) -> dict[str, Any]:
 
 
 def _payloads_document(payloads: Sequence[Payload]) -> dict[str, Any]:
-    """Where they hang."""
+    """Places of payloads, as plain data."""
     if len(payloads) > 1:
         return {"payloads": [{"at": each.lever.tolist(), "on": each.on, "name": each.name} for each in payloads]}
     (only,) = payloads
@@ -475,7 +479,7 @@ def _payloads_document(payloads: Sequence[Payload]) -> dict[str, Any]:
 
 
 def _paths_document(model: Model) -> dict[str, Any]:
-    """Limbs of a robot that has several, the paths that rows took, and what carries which target."""
+    """Limbs of a robot that has several, the paths of rows, and the links that carry targets, as plain data."""
     return {
         "limbs": [limb.tip for limb in model.robot.others],
         "routes": [list(route) for route in model.routes],
@@ -489,15 +493,15 @@ def _by_place(model: Model) -> bool:
 
 
 def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedModel:
-    """The models of a file that was checked, each tried once: what does not fit together shows here, and not rows later.
+    """The models of a checked file, each tried once: parts that do not fit together show here, and not rows later.
 
     Raises:
         AridcalError: the URDF has no such chain.
-        KeyError, IndexError, ValueError, ArithmeticError: a coefficient is of no place in it, or its motion no number.
+        KeyError, IndexError, ValueError, ArithmeticError: a coefficient has no place in the URDF, or its motion is no number.
     """
     about = document.robot
-    stated = Stated(about.joints, about.coupled)
-    robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=stated)
+    without_column = Stated(about.joints, about.coupled)
+    robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=without_column)
     robot = with_limbs(robot, about.limbs) if about.limbs else robot
     paths: dict[str, Any] = {"routes": tuple(Route(*ends) for ends in about.routes), "target_on": about.targets}
     middle = {name: (low + high) / 2 for name, (low, high) in document.ranges.items()}
@@ -512,19 +516,19 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         around = Surroundings(np.array(loads.gravity), payloads, loads.payload, sights)
         model = Model(robot, coefficients, _frames(part.world_base), _frames(part.tip_target), around, **paths)
         theta = np.array([e.value for e in entries], dtype=float)
-        found = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))
-        _try(found, middle)
-        return found
+        solved_model = SolvedModel(model, theta, unpacked(part.covariance.data, len(entries)))
+        _try(solved_model, middle)
+        return solved_model
 
     geometric, final = solved(document.geometric), solved(document.final)
-    untold = untold_of(document)
-    _try(SolvedModel(*with_untold(final.model, final.theta, untold)), middle)
+    unobservable = untold_of(document)
+    _try(SolvedModel(*with_untold(final.model, final.theta, unobservable)), middle)
     rivals = rivals_of(document)
     _try(SolvedModel(*with_rivals(final.model, final.theta, rivals)), middle)
-    known = (*robot.readings, *final.model.needs)
+    dependencies = (*robot.readings, *final.model.needs)
     for name in (*document.ranges, *document.holes):
-        if name not in known:
-            raise ValueError(f"ranges and holes: nothing depends on {shortened(name)!r}{nearest(name, known)}")
+        if name not in dependencies:
+            raise ValueError(f"ranges and holes: nothing depends on {shortened(name)!r}{nearest(name, dependencies)}")
     return SavedModel(
         geometric,
         final,
@@ -535,14 +539,14 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         record,
         document.holes,
         (document.largest_std.position, document.largest_std.rotation),
-        untold,
+        unobservable,
         document.recorded,
         rivals,
     )
 
 
 def _try(solved: SolvedModel, middle: Mapping[str, float]) -> None:
-    """Predict one row in the middle of what was seen."""
+    """Predict one row in the middle of all ranges."""
     model = solved.model
     readings = np.array([[middle.get(name, 0.0) for name in model.robot.readings]])
     covariates = {name: np.array([middle.get(name, 0.0)]) for name in model.needs}

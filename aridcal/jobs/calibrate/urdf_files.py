@@ -1,4 +1,4 @@
-"""URDFs written: the user's own file with a model's constants, once it says what the model says."""
+"""Writing of URDFs: the user's own file with a model's constants, once it predicts what the model predicts."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def write_urdf(file: Path, model: Model, theta: np.ndarray) -> tuple[str, ...]:
     """Write a model's constants as URDF.
 
     Args:
-        file: Where.
+        file: Path of the URDF to write.
         model: Its constants and zeros of joints go into the file; frames and effects do not.
         theta: Its coefficients, shape (K,).
 
     Returns:
-        What a reader cannot read of the user's own file, in words.
+        Notices on parts of the user's own file that a reader cannot read.
 
     Raises:
         NotReadBack: the file does not say what the model says; nothing is written.
@@ -38,7 +38,7 @@ def write_urdf(file: Path, model: Model, theta: np.ndarray) -> tuple[str, ...]:
 
 
 def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str, pin.SE3]) -> None:
-    """Make sure that the new origins have the end of every limb where the model itself has it, by its own kinematics.
+    """Make sure that the new origins put the end of every limb where the model's own kinematics have it.
 
     Raises:
         NotReadBack: naming the link.
@@ -51,9 +51,9 @@ def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str
     constant = [c.where not in FRAMES and (c.basis.constant or is_zero(c, robot)) for c in model.coefficients]
     for limb in robot.limbs:
         joints = {*limb.names, *(fixed.name for gap in limb.fixed for fixed in gap)}
-        own = [k for k, c in enumerate(model.coefficients) if constant[k] and c.where in joints]
-        arm = Model(limb, tuple(model.coefficients[k] for k in own))
-        R, p = arm.poses(theta[own], arm.rows(readings[:, robot.columns_of(limb)]))
+        of_limb = [k for k, c in enumerate(model.coefficients) if constant[k] and c.where in joints]
+        arm = Model(limb, tuple(model.coefficients[k] for k in of_limb))
+        R, p = arm.poses(theta[of_limb], arm.rows(readings[:, robot.columns_of(limb)]))
         T = np.linalg.inv(places[limb.base]) @ places[limb.tip]
         off = max(float(np.abs(T[:, :3, :3] - R).max()), float(np.abs(T[:, :3, 3] - p).max()))
         if not off <= TOLERANCE * max(1.0, float(np.abs(p).max())):

@@ -1,4 +1,4 @@
-"""The verdict: one decision from all that is known, which every sentence on what remains repeats."""
+"""The verdict: one decision from all tests of the residual, which every sentence on what remains repeats."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ thousand, and what is flagged away is not explained."""
 LEAST_FLAGGED = 2
 """Flagged held-out rows below which their share says nothing: one of thirty may be a reflector that was lost."""
 
-FEWEST = 5
+LEAST_CONFIGURATIONS = 5
 """Held-out configurations from which their error is compared with that of the fitted rows."""
 
 NOISE_UNKNOWN = "noise_unknown"
-"""Reason why ``noise_floor`` is not a plain one: nobody has declared the noise, and no repeats show it."""
+"""Reservation to ``noise_floor``: nobody has declared the noise, and no repeats show it."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,17 @@ VERDICTS = {
         "identify fewer parameters.",
     ),
 }
-"""By their names in ``result.json``."""
+"""Verdicts in words, by their names in ``result.json``."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What may be said of what remains.
+    """The decision on what remains.
 
     Attributes:
         word: A key of :data:`VERDICTS`.
-        share: Of the remaining variance that is repeatable beyond the noise, 0 to 1.
-        reasons: Why it is not ``noise_floor``, in words; of that :data:`NOISE_UNKNOWN`, or none.
+        share: Share of the remaining variance that is repeatable beyond the noise, 0 to 1.
+        reasons: Why it is not ``noise_floor``, in words; with ``noise_floor`` :data:`NOISE_UNKNOWN`, or none.
     """
 
     word: str
@@ -85,12 +85,12 @@ class Verdict:
 
     @property
     def for_controller(self) -> bool:
-        """False where so little is left to judge the model by that nobody may send a robot by it."""
+        """False where too few numbers judge the model to command a robot by it."""
         return self.word != "not_enough_data"
 
     @property
     def noise_unknown(self) -> bool:
-        """Whether nothing repeatable is left that the rows can show, and nobody knows what noise the instrument has."""
+        """True where the rows show nothing repeatable, and the noise of the instrument is not known."""
         return NOISE_UNKNOWN in self.reasons
 
 
@@ -100,11 +100,11 @@ def decide(
     """The verdict.
 
     Args:
-        clues: Answers of all questions to the residual.
-        effects: Those in the model.
-        freedom: Share of the numbers measured that is left after fitting.
+        clues: Answers of all tests of the residual.
+        effects: Effects in the model.
+        freedom: Degrees of freedom, as a share of the measured numbers.
         noise_known: Whether the noise of every channel was declared, or repeats show it.
-        setting: What seems to be wrong in the campaign itself; said first, for what follows from it may be its doing.
+        setting: Fault that the campaign itself seems to have, in words; said first, for it may cause the others; else empty.
     """
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
@@ -123,7 +123,7 @@ def decide(
 
 
 def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:
-    """What held-out rows and flagged rows say against the model.
+    """Clues from held-out rows and flagged rows against the model.
 
     Args:
         rows: All N rows.
@@ -132,13 +132,13 @@ def row_clues(rows: Dataset, fit: Fit, residual: np.ndarray, outlier: np.ndarray
         outlier: Flagged rows, shape (N,) bool.
     """
     judging = rows.test & ~_beside_steps(rows, fit)
-    asked = [
+    answers = [
         _held_out(rows, judging & ~outlier, fit, residual, outlier),
         _offset(residual[~outlier]),
         _many_flagged(judging, residual, outlier),
         _together(rows, residual, outlier),
     ]
-    return [clue for clue in asked if clue is not None]
+    return [clue for clue in answers if clue is not None]
 
 
 def _beside_steps(rows: Dataset, fit: Fit) -> np.ndarray:
@@ -168,7 +168,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     """
     train = rows.train & ~outlier
     configurations = len(np.unique(held_together(rows)[test]))
-    if configurations < FEWEST or fit.freedom <= 0:
+    if configurations < LEAST_CONFIGURATIONS or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
     variance = spread(fit.estimated**2, rows.channels)
@@ -198,10 +198,10 @@ def _offset(residual: np.ndarray) -> Clue | None:
 
 def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
     """Variance of the prediction by the coefficients' covariance, scaled as the residuals, shape (N, m)."""
-    asked = problem(fit.model, rows).settled(fit.theta)
+    fit_problem = problem(fit.model, rows).settled(fit.theta)
     parts = []
-    for block in asked.blocks():
-        parts.append(np.einsum("nmm->nm", asked.carried(fit.theta, fit.covariance, block)))
+    for block in fit_problem.blocks():
+        parts.append(np.einsum("nmm->nm", fit_problem.carried(fit.theta, fit.covariance, block)))
     return np.concatenate(parts)
 
 
@@ -219,29 +219,29 @@ def _many_flagged(test: np.ndarray, residual: np.ndarray, outlier: np.ndarray) -
 
 def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
     """Do flagged rows lie together? Then what is wrong there is repeatable."""
-    found = cluster(outlier, rows)
-    if found is None:
+    group = cluster(outlier, rows)
+    if group is None:
         return None
     squares = _squares(residual, outlier)
-    share = float(squares[found.rows].sum() / squares.sum())
+    share = float(squares[group.rows].sum() / squares.sum())
     return Clue(
         "flags",
-        f"{found.rows.sum()} of {outlier.sum()} flagged rows lie together: {where(found)}",
+        f"{group.rows.sum()} of {outlier.sum()} flagged rows lie together: {where(group)}",
         share,
-        found.p_value,
+        group.p_value,
     )
 
 
 def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
-    """Square of each row's residual (N, m) in units of what the rows that are not flagged leave, shape (N,)."""
+    """Square of each row's residual (N, m) in units of the mean square of the rows that are not flagged, shape (N,)."""
     usual = np.nanmean(residual[~outlier] ** 2, axis=0)
     return np.asarray(np.nansum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
 
 
-def where(found: Cluster) -> str:
+def where(group: Cluster) -> str:
     """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
-    if found.coordinate == MEASURED:
+    if group.coordinate == MEASURED:
         return "where the same is measured"
-    if found.coordinate == "row":
-        return f"rows {found.low + 1:.0f} to {found.high + 1:.0f} of those used"
-    return f"{found.coordinate} between {found.low:.4g} and {found.high:.4g}"
+    if group.coordinate == "row":
+        return f"rows {group.low + 1:.0f} to {group.high + 1:.0f} of those used"
+    return f"{group.coordinate} between {group.low:.4g} and {group.high:.4g}"

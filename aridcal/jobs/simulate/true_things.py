@@ -253,7 +253,7 @@ def real_camera(known: Known, name: str, true: TrueCamera) -> RealCamera:
         lens[k] = lens[k] if value is None else value
     if true.distortion is not None:
         lens[4:] = true.distortion
-    numbers = np.array((true if true.given else stated).place(known=True))
+    numbers = np.array((true if true.given else stated).place(is_known=True))
     place = np.eye(4)
     place[:3, 3], place[:3, :3] = numbers[:3], numbers[3:].reshape(3, 3)
     return RealCamera(place, lens, stated.on != WORLD, true.given or stated.given)

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from aridcal.engine.instruments.kinds import KINDS, labelled
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.jobs.calibrate.instrument_results import known_scale
-from aridcal.jobs.calibrate.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
+from aridcal.jobs.calibrate.key_figures import QUESTIONABLE_OUTLIERS, JointRange, joint_ranges, row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, statistics
 from aridcal.pages.drawing.figures import coverage, histogram
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
@@ -29,11 +29,11 @@ def data(outcome: Outcome) -> Iterator[Content]:
     yield _row_counts(outcome)
     if len(m.blocks) > 1:
         yield _blocks(outcome)
-    if flagged > QUESTIONABLE * len(m):
+    if flagged > QUESTIONABLE_OUTLIERS * len(m):
         share = 100 * flagged / len(m)
         yield tag(
             "p",
-            f"{share:.0f} % of the rows are outliers. More than {100 * QUESTIONABLE:.0f} % points to a fault in the "
+            f"{share:.0f} % of the rows are outliers. More than {100 * QUESTIONABLE_OUTLIERS:.0f} % points to a fault in the "
             "measurement itself: check for a loose target, a late trigger, mixed-up files or a joint in the wrong unit.",
             class_="look",
         )

@@ -15,10 +15,10 @@ from aridcal.files.purposes import About
 from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros
 from aridcal.jobs.calibrate.key_figures import (
-    FEW,
-    OVERFITTED,
+    LEAST_HELD_OUT,
+    OVERFIT_RATIO,
     PLUS,
-    QUESTIONABLE,
+    QUESTIONABLE_OUTLIERS,
     Step,
     another_day,
     constants,
@@ -351,18 +351,18 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     held_out, every = (int(outcome.parts()[part].sum()) for part in ("test", "test_all"))
     if every:
         flagged = every - held_out
-        yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
+        yield flagged <= QUESTIONABLE_OUTLIERS * every, f"{every_held_out_row(outcome)}."
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
         if held_out:
-            yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
+            yield held_out >= LEAST_HELD_OUT, f"Checked on {counted(held_out, 'held-out row')}."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
     flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)
-    yield flagged <= QUESTIONABLE * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
+    yield flagged <= QUESTIONABLE_OUTLIERS * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
     if refused:
         read = len(m) + refused
-        yield refused <= QUESTIONABLE * read, f"{refused:,} of {counted(read, 'row')} could not be used."
+        yield refused <= QUESTIONABLE_OUTLIERS * read, f"{refused:,} of {counted(read, 'row')} could not be used."
 
 
 def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
@@ -377,7 +377,7 @@ def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     if ratio is not None:
         differs = any(clue.question == "held_out" and clue.tells for clue in _clues(outcome))
         yield (
-            ratio < OVERFITTED and not differs,
+            ratio < OVERFIT_RATIO and not differs,
             f"The held-out error is {ratio:.2f} times the error of the fitted rows.",
         )
     halves = final_halves(outcome)

@@ -22,7 +22,7 @@ from aridcal.engine.inverse.one_pose import FINEST_NOISE, MOST_UNAVOIDABLE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import approach
 from aridcal.files.query import QueryRows
-from aridcal.jobs.apply.joint_commands import STILL
+from aridcal.jobs.apply.joint_commands import LEAST_MOTION
 from aridcal.jobs.apply.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, uncorrected
 from aridcal.jobs.apply.programs.notations import inverse
@@ -405,7 +405,7 @@ class _Walk:
         for name, side in self._sides.items():
             k = self._robot.names.index(name.removesuffix("_direction"))
             at, middle = self._robot.positions(q)[:, k], self._robot.positions(self._nominal[None])[0, k]
-            found[name] = approach(at, STILL, side, float(middle))
+            found[name] = approach(at, LEAST_MOTION, side, float(middle))
             self._sides[name] = float(found[name][-1])
         return found
 
