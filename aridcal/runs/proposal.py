@@ -18,5 +18,5 @@ def tell(proposed: Draft, title: str, console: Screen) -> None:
     rows = proposed.rows
     for remark in (*rows.origin.refused, *rows.origin.notices)[:SHOWN_REMARKS]:
         console.say(f"note     {remark}")
-    said = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
-    console.say(said)
+    summary = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
+    console.say(summary)

@@ -70,7 +70,7 @@ def write_folder(
     give_back()
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
-        read = write_results(outcome, stage, progress)
+        notices_read = write_results(outcome, stage, progress)
         progress("working out what controllers can be given")
         give_back()
         handover = hand_over(outcome)
@@ -80,7 +80,7 @@ def write_folder(
         notices += write_certificate(outcome, stage, datetime.date.today())
         give_back()
         progress("drawing the report")  # last, for it links to what is there
-        notices = read + write_report(outcome, handover, stage / "report.html", progress) + notices
+        notices = notices_read + write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():
             (stage / name).write_text(text, encoding="utf-8")
     return Written(handover, notices)
