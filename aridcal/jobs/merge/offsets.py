@@ -14,7 +14,7 @@ from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.log_files import JointLog
 from aridcal.jobs.merge.pairs import Pairs, pairs
 from aridcal.jobs.merge.standstills import Standstills, span_of
-from aridcal.jobs.prepare.orientation_columns import CLEAR
+from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
 from aridcal.jobs.prepare.propose import SAMPLE, STRANGE_SHARE
 from aridcal.jobs.prepare.units_and_angles import Sample, readings
 from aridcal.system.errors import MeasurementError
@@ -95,7 +95,7 @@ def best_offset(
             "the URDF is this robot's, "
             "each joint's column and sign, and that neither tracker nor target was moved in between"
         )
-    near = [one for one in rivals if one[0].share <= CLEAR * best[0].share]
+    near = [one for one in rivals if one[0].share <= CLEAR_RATIO * best[0].share]
     best = min(near, key=lambda one: sum(one[0].contrary))
     offset, least = best[0].candidate.clocks.offset, sum(best[0].contrary)
     apart = [

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
-    SCATTER,
+    SCATTER_WORDS,
     angle_triples,
     joint_families,
     matrices,
@@ -56,7 +56,7 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
         taken |= {name for way in (*matrix.rotation, *(matrix.position or ())) for name in way}
     clocks = next(spellings for quantity, _, spellings in COVARIATES if quantity == "time")
     clock = named(names, *clocks)
-    free = [name for name in names if name not in taken and name != clock and not set(words(name)) & SCATTER]
+    free = [name for name in names if name not in taken and name != clock and not set(words(name)) & SCATTER_WORDS]
     there = np.flatnonzero(np.isfinite(seconds))
     order = there[np.argsort(seconds[there], kind="stable")]
     numbers, labels = {}, {}
