@@ -129,9 +129,9 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     check_outputs(campaign, robot, out)
     console, aside = screens(arguments)
     with told_on(aside) as progress:
-        known = beforehand(campaign, robot, progress)
-        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
-        plan = design(known, asked, progress)
+        setup = beforehand(campaign, robot, progress)
+        request = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
+        plan = design(setup, request, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
     _report(plan, arguments.apart, out, console)
 

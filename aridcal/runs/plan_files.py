@@ -66,7 +66,7 @@ def write_plan(plan: Plan, campaign: Campaign, robot: Robot, out: Sequence[Path]
 
     Args:
         plan: What to write.
-        campaign: What it is for.
+        campaign: Whose measurements it plans.
         robot: The chain.
         out: The files.
         settle: What programs wait at each configuration, [s].
@@ -85,7 +85,7 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
     elif ending == PAGE:
         file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
     else:
-        # controllers go straight in joints; who knows by which way MoveIt comes
+        # controllers go straight in joints; MoveIt may come by any way
         via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
         readings = plan.readings
         if ending != WAYPOINTS:  # MoveIt counts as the URDF does, a controller as its own joints in the tables

@@ -1,4 +1,4 @@
-"""The folder of a repaired calibration: what moved is found by new rows and fitted, all else kept."""
+"""The folder of a repaired calibration: what moved is identified with new rows and fitted, all else is kept."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 SCORED_ON = "where it was calibrated, against the repaired model"
-"""On what exports are scored: ten rows could not say it."""
+"""Where exports are scored, in words: ten rows could not say it."""
 
 
 def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = SILENT) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
         progress: Told what is being done.
 
     Returns:
-        What was found, in words, a line each.
+        Lines on what moved.
 
     Raises:
         AridcalError: nothing can or must be repaired, or something of the input needs mending.

@@ -24,15 +24,15 @@ RESULT_FILES = frozenset(
         *("certificate.html", "certificate.pdf"),
     }
 )
-"""All that a result may have: what an earlier one had and this has not must not outlive it."""
+"""All files that a result may have: a file of an earlier result that this one lacks must go."""
 
 RESULT_FOLDERS = frozenset({"regions"})
-"""The folders among that."""
+"""Folders that a result may have."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """What is worth saying of a folder that was written.
+    """Remarks on a folder that was written.
 
     Attributes:
         handover: What each kind of controller can be given.
@@ -51,7 +51,7 @@ def write_folder(
     Figures come first. A picture that cannot be drawn costs a notice and no other file.
 
     Args:
-        outcome: What was found.
+        outcome: Of the calibration.
         folder: Where to write it.
         progress: Told what is being written.
         beside: Further files, text by name.

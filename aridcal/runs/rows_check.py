@@ -1,4 +1,4 @@
-"""Whether a calibration is still good by new rows, as Python users have it."""
+"""The check of a calibration by new rows, as Python users have it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Check(InWords):
 
 
 def check_rows(saved: SavedModel, table: AnyTable, tolerance: float | None = None) -> Check:
-    """Ask new rows whether a calibration is still good.
+    """Check by new rows whether a calibration is still good.
 
     Args:
         saved: The calibration.
