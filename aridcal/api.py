@@ -107,7 +107,7 @@ class PlannedPoses:
 
     Attributes:
         design: The plan behind it, for arrays: readings in [rad] and [m], sigmas, notices.
-        campaign: What it is for.
+        campaign: Whose measurements it plans.
         robot: The chain.
     """
 
@@ -122,12 +122,12 @@ class PlannedPoses:
 
     @property
     def sigma(self) -> pd.DataFrame:
-        """How well the target will be known with the best so many configurations: over three axes, and at worst, [mm]."""
+        """Sigma of the target with the best n configurations, for some n: over three axes, and at worst, [mm]."""
         rows = [(s.n, 1e3 * s.rms, 1e3 * s.worst) for s in self.design.sigma]
         return pd.DataFrame(rows, columns=["n", "rms_mm", "worst_mm"])
 
     def save(self, *paths: str | Path, settle: float = 1.0) -> None:
-        """Write it, in the form that the ending of each name asks for (see `aridcal design --help`); all files appear, or none.
+        """Write the plan, in the form that the ending of each name asks for (see `aridcal design --help`): all files, or none.
 
         Args:
             paths: Of the files.
@@ -156,7 +156,7 @@ def plan(
 
     Args:
         campaign: ``campaign.yaml``, or a campaign. If its tables are there, new rows add to them.
-        n: How many.
+        n: Number of configurations.
         region: Table of joints, or of x y z of the target, where it is to be known; None: the campaign's own, else anywhere.
         apart: Two effects to be told apart, ``WHERE.KIND`` each.
         optimal: What is made small: ``A``, ``D`` or ``G``; two effects are told apart by the evidence expected instead.
@@ -175,9 +175,9 @@ def plan(
     job = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     robot = nominal_robot(job)
     with working() as progress:
-        asked = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
-        made = design(beforehand(job, robot, progress), asked, progress)
-    return PlannedPoses(made, job, robot)
+        request = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
+        planned = design(beforehand(job, robot, progress), request, progress)
+    return PlannedPoses(planned, job, robot)
 
 
 def calibrate(campaign: str | Path | Campaign, seed: int = 0) -> Calibration:
@@ -220,7 +220,10 @@ def compare(a: str | Path | Calibration, b: str | Path | Calibration) -> Changes
     Raises:
         AridcalError: one is not there, or they are not of one arm.
     """
-    first, second = (given.model if isinstance(given, Calibration) else given for given in (a, b))
+    first, second = (
+        calibration_or_path.model if isinstance(calibration_or_path, Calibration) else calibration_or_path
+        for calibration_or_path in (a, b)
+    )
     return changes(first, second)
 
 
@@ -229,7 +232,7 @@ def history(folder: str | Path, robot: str | None = None) -> FleetHistory:
 
     Args:
         folder: What `aridcal fleet` wrote, or a folder above several of them.
-        robot: The one to be shown; None: all.
+        robot: Name of the robot to be shown; None: all.
 
     Raises:
         AridcalError: there are no runs, none of this robot, or DuckDB is not installed.
@@ -244,7 +247,7 @@ def fleet(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> FleetRun:
-    """Calibrate many robots, as `aridcal fleet` does: into the same folder, and none that is there already.
+    """Calibrate many robots, as `aridcal fleet` does: into one folder, without those that are there already.
 
     Robots that fail raise nothing: they are in ``failed`` with their reasons, and cost no other.
 
@@ -258,9 +261,9 @@ def fleet(
         AridcalError: no campaign fits, the folder cannot be used, or Dask is not installed.
     """
     patterns = [campaigns] if isinstance(campaigns, str | Path) else list(campaigns)
-    found = members([str(pattern) for pattern in patterns], Path(out))
-    with working() if progress is None else nullcontext(Progress(progress)) as told:
-        ran = calibrated_fleet(found, Path(out), scheduler, told)
+    robots = members([str(pattern) for pattern in patterns], Path(out))
+    with working() if progress is None else nullcontext(Progress(progress)) as steps:
+        ran = calibrated_fleet(robots, Path(out), scheduler, steps)
     return fleet_run(ran, Path(out))
 
 
@@ -271,7 +274,7 @@ def study(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> StudyRun:
-    """Repeat a simulation, or a calibration from halves of its rows, as `aridcal study` does. Runs that are there count.
+    """Repeat a simulation, or a calibration from halves of its rows, as `aridcal study` does; runs that are there are kept.
 
     Args:
         path: Of a scenario or a campaign with a block ``study``.
@@ -283,6 +286,6 @@ def study(
         AridcalError: what is studied needs mending, the folder cannot be used, or Dask is not installed.
     """
     job = load_study(Path(path))
-    with working() if progress is None else nullcontext(Progress(progress)) as told:
-        done = repeated(job, Path(out), scheduler, told)
-    return study_run(done, Path(out))
+    with working() if progress is None else nullcontext(Progress(progress)) as steps:
+        results = repeated(job, Path(out), scheduler, steps)
+    return study_run(results, Path(out))

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Calibration:
-    """A calibrated robot: what was found, how good it is, and its use.
+    """A calibrated robot: its model, its figures, and its use.
 
     Tables come and go as the campaign's own do: its columns, units and orientation.
 
@@ -89,7 +89,7 @@ class Calibration:
 
     @property
     def effects(self) -> pd.DataFrame:
-        """What the model holds beyond geometry, the largest gain first; before and after are on held-out rows."""
+        """Effects of the model beyond geometry, the largest gain first; before and after are on held-out rows."""
         return self._figures(effect_table)
 
     @property
@@ -114,7 +114,7 @@ class Calibration:
 
     @property
     def regions(self) -> pd.DataFrame:
-        """Where each region's own URDF holds and what it leaves, [m] and [rad]; empty where nothing varies by region.
+        """Each region's own URDF: where it holds, and its error, [m] and [rad]; empty where nothing varies by region.
 
         Raises:
             AridcalError: of a loaded calibration whose ``regions/index.yaml`` is damaged.
@@ -146,11 +146,11 @@ class Calibration:
         try:
             return plots_of_table(pd.read_csv(io.StringIO(_text(path))))
         except (KeyError, ValueError) as error:
-            said = shortened(f"{type(error).__name__}: {error}")
-            raise AridcalError(f"{path}: is damaged ({said}). Run identify again") from None
+            reason = shortened(f"{type(error).__name__}: {error}")
+            raise AridcalError(f"{path}: is damaged ({reason}). Run identify again") from None
 
     def predict(self, queries: AnyTable, of: str | None = None, within: str | None = None) -> pd.DataFrame:
-        """Tell where the real target is for each row of joint readings, or a link of the robot.
+        """Predict the pose of the real target, or of a link of the robot, for each row of joint readings.
 
         Args:
             queries: A column for each joint and each covariate that an effect depends on.
@@ -159,7 +159,7 @@ class Calibration:
 
         Returns:
             The same rows and columns with the target's pose, its standard deviations ``std_x`` to ``std_rz``, and
-            ``extrapolates``: not like what the calibration saw. Where something was told by no reading, also ``told``.
+            ``extrapolates``: True of rows unlike the calibration's own. Where a part is known by no reading, also ``told``.
 
         Raises:
             AridcalError: a column is missing, two orientations disagree, or no row can be predicted.
@@ -168,19 +168,19 @@ class Calibration:
             raise CampaignError("within says in which link's frame; name the link whose pose is wanted: of=LINK")
         with working() as progress:
             progress("predicting")
-            asked = self.model if of is None else self.model.of_link(of, within)
-            query = read_query(asked, queries)
-            table = predict(asked, query)
+            model = self.model if of is None else self.model.of_link(of, within)
+            query = read_query(model, queries)
+            table = predict(model, query)
         _warn(query)
         return _with_numbers(table)
 
     def uncertainty(
         self, queries: AnyTable | None = None, tool: tuple[float, float, float] = (0.0, 0.0, 0.0)
     ) -> pd.DataFrame:
-        """Tell how well the target is known: 1-sigma, by the noise of the measurements.
+        """Uncertainty of the target: 1-sigma, by the noise of the measurements.
 
         Args:
-            queries: As for :meth:`predict`; None: 512 configurations evenly over the joint ranges that were seen.
+            queries: As for :meth:`predict`; None: 512 configurations evenly over the measured joint ranges.
             tool: A point that moves with the target, in its axes, [m].
 
         Returns:
@@ -216,12 +216,12 @@ class Calibration:
             raise CampaignError("within says in which link's frame; name the link that is to be there: of=LINK")
         with working() as progress:
             progress("finding the commands")
-            asked = self.model if of is None else self.model.of_link(of, within)
-            joints = asked.final.model.robot.readings
-            table = poses if seed is None else seeded(poses, seed, asked.measurements, joints)
-            query = read_query(asked, table, poses=True)
+            model = self.model if of is None else self.model.of_link(of, within)
+            joints = model.final.model.robot.readings
+            table = poses if seed is None else seeded(poses, seed, model.measurements, joints)
+            query = read_query(model, table, poses=True)
             count = len(query.line)
-            table = compensate(asked, query, report=lambda rows: progress.part(rows, count, "rows"))
+            table = compensate(model, query, report=lambda rows: progress.part(rows, count, "rows"))
         _warn(query)
         return _with_numbers(table)
 
@@ -236,16 +236,16 @@ class Calibration:
         """
         with working() as progress:
             progress("scoring")
-            found = score(self._with_data("verify"), measurements)
-        outliers = int(found.outlier.sum())
-        return Verified(found.file, len(found.measurements), outliers, verification_table(found))
+            scores = score(self._with_data("verify"), measurements)
+        outliers = int(scores.outlier.sum())
+        return Verified(scores.file, len(scores.measurements), outliers, verification_table(scores))
 
     def check(self, measurements: AnyTable, tolerance: float | None = None) -> Check:
-        """Tell from 5 to 20 new rows whether the calibration is still good, and if not, what moved.
+        """Check by 5 to 20 new rows whether the calibration is still good, and if not, what moved.
 
         Args:
             measurements: In the columns and units of the campaign's own, or the path of another instrument's campaign.
-            tolerance: Largest RMS position error that is still good, [m]; None: anything that the rows contradict is not.
+            tolerance: Largest RMS position error that is still good, [m]; None: any contradiction by the rows counts.
 
         Raises:
             AridcalError: the rows need mending, or nothing can be said of a tolerance.
@@ -265,7 +265,7 @@ class Calibration:
             The repaired calibration.
 
         Raises:
-            AridcalError: nothing moved, it cannot be told what did, or this calibration was not loaded from a file.
+            AridcalError: nothing moved, the rows do not tell what moved, or this calibration was not loaded from a file.
         """
         if self.folder is None:
             raise AridcalError("`recalibrate` writes where a calibration comes from: save it, and load what was saved")
@@ -330,18 +330,18 @@ class Calibration:
 
     @property
     def _remarks(self) -> list[str]:
-        """What the table of errors does not say."""
+        """Lines below the table of errors: effects, verdict, notices."""
         return list(self._figures(_remarks))
 
     def _figures(self, make: Callable[[dict[str, Any]], Any]) -> Any:
-        """Make something of the figures; those of a loaded calibration may be damaged."""
+        """The result of ``make`` on the figures, which may be damaged if the calibration was loaded."""
         try:
             return make(self.result)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             if self.outcome is not None:
                 raise
-            said = shortened(f"{type(error).__name__}: {error}")
-            raise AridcalError(f"{self.folder}: result.json is damaged ({said}). Run identify again") from None
+            reason = shortened(f"{type(error).__name__}: {error}")
+            raise AridcalError(f"{self.folder}: result.json is damaged ({reason}). Run identify again") from None
 
     def _page(self, name: str, write: Callable[[Outcome, Path], tuple[str, ...]], path: str | Path | None) -> Page:
         """A page made anew, or of a loaded calibration the folder's own; warns of what could not be drawn."""
@@ -368,11 +368,11 @@ class Calibration:
             )
         return path
 
-    def _with_data(self, what: str) -> Outcome:
-        """What was found, with the measurements behind it."""
+    def _with_data(self, method: str) -> Outcome:
+        """The outcome, with the measurements behind it."""
         if self.outcome is None:
             raise AridcalError(
-                f"{self.folder}: `{what}` needs the measurements behind a calibration, and this one was loaded: "
+                f"{self.folder}: `{method}` needs the measurements behind a calibration, and this one was loaded: "
                 f"`aridcal.calibrate(campaign)` has them"
             )
         return self.outcome
@@ -403,13 +403,13 @@ def _with_numbers(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _warn_of(notices: Sequence[str], stacklevel: int = 3) -> None:
-    """Say what could not be drawn."""
+    """Warn of pages that could not be drawn."""
     if notices:
         warnings.warn("\n".join(notices), stacklevel=stacklevel)
 
 
 def _warn(query: Query) -> None:
-    """Say which rows have no answer, and which have an odd one."""
+    """Warn of rows without an answer, and of rows with an odd one."""
     odd = [remark for remark in query.notices if remark.row is not None]
     remarks = [str(remark) for remark in (*query.refused, *odd)]
     if len(remarks) > SHOWN_REMARKS:

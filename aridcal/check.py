@@ -98,26 +98,26 @@ def _check(arguments: argparse.Namespace) -> int:
     if arguments.poses is not None:
         console.say(_poses(arguments.poses, saved, checked))
     console.say(*(f"note: {remark}" for remark in (*new.rows.origin.refused, *new.rows.origin.notices)))
-    found = {
+    headline = {
         "good": checked.good,
         "p_value": checked.first.p_value,
         "moved": [{"where": c.cause.where, "probability": c.cause.probability} for c in moved],
         "said": list(lines),
     }
-    print_headline(arguments, found)
+    print_headline(arguments, headline)
     return DONE if checked.good else NOT_GOOD
 
 
 def _poses(out: Path, saved: SavedModel, checked: Checked) -> str:
     """Write configurations that would tell what the rows cannot; returns what was written, in words."""
-    found = [told for cause in checked.causes for told in cause.telling]
-    if not found:
+    configurations = [one for cause in checked.causes for one in cause.telling]
+    if not configurations:
         return f"{out}: not written: there is nothing more to tell that another configuration would"
-    readings = np.unique([told.readings for told in found], axis=0)
+    readings = np.unique([one.readings for one in configurations], axis=0)
     readings = readings[short_order(readings)]
     with atomic_file(out) as path:
         write_table(joint_table(readings, saved.final.model.robot, saved.measurements), path)
-    of = enumerated(list(dict.fromkeys(told.suspect for told in found)))
+    of = enumerated(list(dict.fromkeys(one.suspect for one in configurations)))
     return (
         f"{out}: {len(readings)} {'configuration' if len(readings) == 1 else 'configurations'} that would tell of {of}"
     )

@@ -27,7 +27,7 @@ INTERRUPTED, TERMINATED = SIGNALLED + signal.SIGINT, SIGNALLED + signal.SIGTERM
 
 
 def run(body: Callable[[], int | None]) -> int:
-    """Do a command's work and turn what goes wrong into a message and an exit status.
+    """Do a command's work, and turn errors into a message and an exit status.
 
     Args:
         body: The work; what it raises decides, or the status that it returns.
@@ -43,8 +43,8 @@ def run(body: Callable[[], int | None]) -> int:
             sys.stdout.flush()  # what cannot be printed is to be known here
     except AridcalError as error:
         # As plain text: a station's name in brackets is no markup, and a path must not be broken into lines.
-        said = printable_lines(str(error))
-        console.print(Text("error: ", style="bold red") + Text(said, style="not bold"), soft_wrap=True)
+        message = printable_lines(str(error))
+        console.print(Text("error: ", style="bold red") + Text(message, style="not bold"), soft_wrap=True)
         return BAD_INPUT
     except KeyboardInterrupt as stop:
         console.print(MESSAGE, soft_wrap=True)
@@ -55,8 +55,8 @@ def run(body: Callable[[], int | None]) -> int:
     except Exception as error:
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             unheard(sys.stdout)
-            said = f"error: what was to be printed could not be written: {error.strerror}. Make room"
-            console.print(said, soft_wrap=True, markup=False)
+            message = f"error: what was to be printed could not be written: {error.strerror}. Make room"
+            console.print(message, soft_wrap=True, markup=False)
             return BAD_INPUT
         console.print_exception()
         console.print("this is a bug in aridcal: please report it with the lines above", style="bold red")
@@ -86,7 +86,7 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
     """Start a command's arguments from its module's docstring, whose ``Example:`` ends the help.
 
     Args:
-        command: Its name.
+        command: The command's name.
         doc: The module's docstring.
     """
     about, _, example = (doc or "").partition("\nExample:\n")
@@ -101,11 +101,11 @@ def command_parser(command: str, doc: str | None) -> CommandParser:
 def command(
     parser: Callable[[], CommandParser], work: Callable[[argparse.Namespace], int | None]
 ) -> Callable[..., int]:
-    """The ``main`` of a command: its arguments are read, its work is done, what goes wrong is said; see :func:`run`.
+    """The ``main`` of a command: it reads the arguments, does the work and prints errors; see :func:`run`.
 
     Args:
         parser: Makes its arguments.
-        work: What it does with them; what it returns is its exit status.
+        work: Does the work with these arguments; returns the exit status.
     """
 
     def main(argv: Sequence[str] | None = None) -> int:
@@ -160,7 +160,7 @@ def answer(text: str) -> tuple[str, int]:
 
 
 def screens(arguments: argparse.Namespace) -> tuple[Screen, Screen]:
-    """Where a command with these options prints its result, and where its progress and its remarks.
+    """The screens for a command's result, and for its progress and remarks.
 
     In a pipe lines are whole, however long they are: what reads them there breaks them as it likes.
     """

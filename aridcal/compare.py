@@ -48,23 +48,23 @@ def parser() -> CommandParser:
 
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
-        return _said(
+        return _exit_status(
             compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second)), screens(arguments)[0]
         )
     check_apart((arguments.out / name for name in FILES), [arguments.first, arguments.second])
     with claimed(arguments.out, "folder", FILES):
-        found = compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second))
+        comparison = compare(SavedModel.load(arguments.first), SavedModel.load(arguments.second))
         with atomic_folder(arguments.out, FILES) as stage:
-            text = json.dumps(finite(document(found)), indent=2, allow_nan=False)
+            text = json.dumps(finite(document(comparison)), indent=2, allow_nan=False)
             (stage / "compare.json").write_text(text + "\n", encoding="utf-8")
-            page = compare_page(found, (str(arguments.first), str(arguments.second)))
+            page = compare_page(comparison, (str(arguments.first), str(arguments.second)))
             (stage / "compare.html").write_text(page, encoding="utf-8", errors="replace")
-        return _said(found, screens(arguments)[0])
+        return _exit_status(comparison, screens(arguments)[0])
 
 
-def _said(found: Comparison, console: Screen) -> int:
-    console.say(*lines(found), *(f"note: {notice}" for notice in found.notices))
-    return NOT_GOOD if found.changed else DONE
+def _exit_status(comparison: Comparison, console: Screen) -> int:
+    console.say(*lines(comparison), *(f"note: {notice}" for notice in comparison.notices))
+    return NOT_GOOD if comparison.changed else DONE
 
 
 main = command(parser, _main)

@@ -166,7 +166,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
     if arguments.grid is not None:
         _tabulate(calibration, arguments.grid, arguments.out, aside)
         return
-    answered, trajectory = CommandTotals(calibration), Trajectory(calibration)
+    totals, trajectory = CommandTotals(calibration), Trajectory(calibration)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
@@ -176,8 +176,8 @@ def _compensate(arguments: argparse.Namespace) -> None:
 
             table = compensate(calibration, query, trajectory, told)
             write(table)
-            answered.add(query, table)
-    _report(answered, calibration, arguments.out, aside)
+            totals.add(query, table)
+    _report(totals, calibration, arguments.out, aside)
 
 
 def _correct_programs(arguments: argparse.Namespace) -> None:
@@ -191,10 +191,10 @@ def _correct_programs(arguments: argparse.Namespace) -> None:
     aside.say(*map(printable, lines_of(answer)))
 
 
-def _values(given: Sequence[str]) -> dict[str, float]:
+def _values(arguments: Sequence[str]) -> dict[str, float]:
     """NAME=VALUE of each --at."""
     values = {}
-    for text in given:
+    for text in arguments:
         name, _, value = text.partition("=")
         try:
             values[name.strip()] = float(value)
@@ -277,18 +277,18 @@ def _tabulate(calibration: SavedModel, points: int, out: Path, console: Screen) 
     )
 
 
-def _report(found: CommandTotals, calibration: SavedModel, out: Path, console: Screen) -> None:
+def _report(totals: CommandTotals, calibration: SavedModel, out: Path, console: Screen) -> None:
     """Print remarks, poses out of reach and totals."""
-    lines = [*found.remarks.lines(), *found.far]
+    lines = [*totals.remarks.lines(), *totals.far]
     if calibration.measurements.joint_reading == "reported":
         lines.append(
             "these are joints to be reported by the controller, as in the calibration: to get the commands, add to each "
             "the difference between commanded and reported joint"
         )
-    said = f"{out}: {found.rows} rows, {found.reached} reached"
-    said += f", {found.missed} out of reach" if found.missed else ""
-    said += f", {found.bare} without a command because a number is missing" if found.bare else ""
-    console.say(*lines, f"{said}; {found.unlike} of them unlike what was measured")
+    sentence = f"{out}: {totals.rows} rows, {totals.reached} reached"
+    sentence += f", {totals.missed} out of reach" if totals.missed else ""
+    sentence += f", {totals.bare} without a command because a number is missing" if totals.bare else ""
+    console.say(*lines, f"{sentence}; {totals.unlike} of them unlike what was measured")
 
 
 if __name__ == "__main__":

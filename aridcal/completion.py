@@ -21,15 +21,15 @@ from aridcal.system.reading.user_names import path_argument
 
 def whole_parser() -> argparse.ArgumentParser:
     """All commands with all their arguments as one parser; where a path is meant, file names complete it."""
-    whole = argparse.ArgumentParser(prog="aridcal")
-    commands = whole.add_subparsers()
+    everything = argparse.ArgumentParser(prog="aridcal")
+    commands = everything.add_subparsers()
     for name, job in COMMANDS.items():
-        own = importlib.import_module(f"aridcal.{name}").parser()
-        for action in own._actions:
+        arguments = importlib.import_module(f"aridcal.{name}").parser()
+        for action in arguments._actions:
             if action.type is path_argument:
                 action.complete = shtab.FILE
-        commands.add_parser(name, parents=[own], add_help=False, help=job)
-    return whole
+        commands.add_parser(name, parents=[arguments], add_help=False, help=job)
+    return everything
 
 
 def parser() -> CommandParser:

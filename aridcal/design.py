@@ -47,7 +47,7 @@ from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.discrimination import duel_lines
 from aridcal.jobs.plan.pose_design import Asked, Plan, design
 from aridcal.jobs.plan.row_exchange import Criterion
-from aridcal.runs.plan_files import MOST_PLANNED, WRITTEN, check_endings, check_outputs, write_plan
+from aridcal.runs.plan_files import MOST_PLANNED, PLAN_ENDINGS, check_endings, check_outputs, write_plan
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Screen, told_on
 from aridcal.system.reading.user_names import path_argument
@@ -64,7 +64,7 @@ def parser() -> CommandParser:
     arguments.add_argument("-n", type=_count, required=True, help=f"how many configurations, 1 to {MOST_PLANNED}")
     arguments.add_argument(
         "-o", "--out", type=path_argument, required=True, action="append", metavar="FILE",
-        help=f"where to write them: {', '.join(WRITTEN)}; may be given more than once",
+        help=f"where to write them: {', '.join(PLAN_ENDINGS)}; may be given more than once",
     )  # fmt: skip
     arguments.add_argument(
         "--settle", type=_seconds, default=1.0, metavar="SECONDS", help="what programs wait at each one (default: 1)"
@@ -129,9 +129,9 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     check_outputs(campaign, robot, out)
     console, aside = screens(arguments)
     with told_on(aside) as progress:
-        known = beforehand(campaign, robot, progress)
-        asked = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
-        plan = design(known, asked, progress)
+        setup = beforehand(campaign, robot, progress)
+        request = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
+        plan = design(setup, request, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
     _report(plan, arguments.apart, out, console)
 

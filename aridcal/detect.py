@@ -52,12 +52,12 @@ COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
 
 @dataclass(frozen=True)
 class Seen:
-    """What became of the images.
+    """Images with the board in them, and images refused.
 
     Attributes:
-        good: What was found in each that shows the board, by name.
-        refused: Why each other one was not measured, by name.
-        size: Width and height of all good ones, [px].
+        good: Marks in each image that shows the board, by the image's name.
+        refused: Why each other image was not measured, by name.
+        size: Width and height of the good images, [px].
         shot: Number of each image, by name.
     """
 
@@ -67,7 +67,7 @@ class Seen:
     shot: dict[str, int]
 
     def without(self, why: dict[str, str]) -> Seen:
-        """The same with more images refused."""
+        """These images with more of them refused, with the reasons ``why`` by name."""
         good = {name: found for name, found in self.good.items() if name not in why}
         return Seen(good, self.refused | why, self.size, self.shot)
 
@@ -89,13 +89,13 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
     for name, path in track(images.items(), "looking", total=len(images), console=console, transient=True):
         try:
             image = grey_image(path)
-            own = (image.shape[1], image.shape[0])
-            if good and own != size:
+            own_size = (image.shape[1], image.shape[0])
+            if good and own_size != size:
                 raise NotMeasured(
-                    f"the image has {own[0]} x {own[1]} pixels, the others {size[0]} x {size[1]}: one camera at a time"
+                    f"the image has {own_size[0]} x {own_size[1]} pixels, the others {size[0]} x {size[1]}: one camera at a time"
                 )
             good[name] = find(image, board)
-            size = own
+            size = own_size
         except NotMeasured as refusal:
             refused[name] = str(refusal)
     if not good:
@@ -104,30 +104,32 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
 
 
 def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
-    """Say why most images show nothing, and what some of them show instead."""
+    """The message where no image shows the board: the usual reason, and what some images show instead."""
     reasons = {name: re.sub(r"[\d.]+", "", why) for name, why in refused.items()}  # "by 2.3 px", "by 2.5 px" are one
     reason, times = Counter(reasons.values()).most_common(1)[0]
-    alike = [name for name, own in reasons.items() if own == reason]
+    alike = [name for name, own_reason in reasons.items() if own_reason == reason]
     readable = []
     for k in np.unique(np.linspace(0, times - 1, min(times, ENOUGH_IMAGES)).astype(int)):
         with suppress(NotMeasured):
             readable.append(grey_image(images[alike[k]]))
     hint = advice(readable) if refused[alike[0]] != MIRRORED else ""
-    others = f" (and {times - 1} more like it)" if times > 1 else ""
-    said = f"nothing is found in {len(images)} images. {shortened(printable(alike[0]))}{others}: {refused[alike[0]]}"
-    return f"{said}. {hint[0].upper()}{hint[1:]}" if hint else said
+    further = f" (and {times - 1} more like it)" if times > 1 else ""
+    sentence = (
+        f"nothing is found in {len(images)} images. {shortened(printable(alike[0]))}{further}: {refused[alike[0]]}"
+    )
+    return f"{sentence}. {hint[0].upper()}{hint[1:]}" if hint else sentence
 
 
-def pixels_table(seen: Seen, camera: str) -> pd.DataFrame:
+def pixels_table(images: Seen, camera: str) -> pd.DataFrame:
     """All marks as rows: image, camera, marker, u, v, shot."""
     parts = [
         pd.DataFrame(
-            {"image": name, "camera": camera, "marker": found.names, "u": found.pixels[:, 0], "v": found.pixels[:, 1]}
+            {"image": name, "camera": camera, "marker": marks.names, "u": marks.pixels[:, 0], "v": marks.pixels[:, 1]}
         )
-        for name, found in seen.good.items()
+        for name, marks in images.good.items()
     ]
     table = pd.concat(parts, ignore_index=True)
-    table["shot"] = table["image"].map(seen.shot)
+    table["shot"] = table["image"].map(images.shot)
     return table
 
 
@@ -142,9 +144,11 @@ def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
     """
     table = read_tables([path])
     table.require(["image"], "It has the name of the image that belongs to each row.")
-    own = [name for name in COLUMNS[1:] if name in table.names]
-    if own:
-        raise MeasurementError(f"{path}: the columns {listed(own)} are written by this command: rename or delete them")
+    reserved = [name for name in COLUMNS[1:] if name in table.names]
+    if reserved:
+        raise MeasurementError(
+            f"{path}: the columns {listed(reserved)} are written by this command: rename or delete them"
+        )
     rows: dict[str, int] = {}
     for row, name in enumerate(table.texts("image")):
         key = Path(str(name)).name
@@ -182,8 +186,8 @@ def _main(arguments: argparse.Namespace) -> None:
     # The numbers of --intrinsics may be in the camera's file beside the table, and are what is written there again.
     check_apart([out, out.with_name(REFUSED)], [arguments.joints, arguments.intrinsics])
     with claimed_table(out, BESIDE):
-        known = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
-        stated = read_file(arguments.intrinsics, AridcalError, SETTINGS) if known else b""
+        camera = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+        stated_text = read_file(arguments.intrinsics, AridcalError, SETTINGS) if camera else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
         check_apart([out, *(out.with_name(name) for name in BESIDE)], images.values())
@@ -194,34 +198,34 @@ def _main(arguments: argparse.Namespace) -> None:
             )
         _, console = screens(arguments)
         console.say(f"looking for {arguments.board} {as_written(options)}")
-        seen = look(images, board, console)
-        said = _write(seen, out, arguments.camera, known, stated, joints)
-    console.say(*said)
+        looked = look(images, board, console)
+        remarks = _write(looked, out, arguments.camera, camera, stated_text, joints)
+    console.say(*remarks)
 
 
 def _write(
     seen: Seen,
     out: Path,
     camera: str,
-    known: ArmCameraSettings | None,
-    stated: bytes,
+    known_lens: ArmCameraSettings | None,
+    stated_text: bytes,
     joints: tuple[Table, dict[str, int]] | None,
 ) -> list[str]:
     """Check what was found against the camera, and write it; returns what there is to say."""
-    said: list[str] = []
+    remarks: list[str] = []
     lens = None
-    if known is None:
+    if known_lens is None:
         seen, lens, remark = _with_own_lens(seen)
-        said += [remark] if remark else []
+        remarks += [remark] if remark else []
     else:
-        seen = _with_known_lens(seen, known)
+        seen = _with_known_lens(seen, known_lens)
     if joints is None:
-        said.append("joints are missing: give --joints, a table with the columns image and one for each joint")
+        remarks.append("joints are missing: give --joints, a table with the columns image and one for each joint")
     else:
         lacking = [name for name in seen.good if name not in joints[1]]
         seen = seen.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
         unseen = sorted(set(joints[1]) - set(seen.shot))
-        said += [f"{len(unseen)} rows of the table of joints name no image: {listed(unseen)}"] if unseen else []
+        remarks += [f"{len(unseen)} rows of the table of joints name no image: {listed(unseen)}"] if unseen else []
     if not seen.good:
         name, why = next(iter(seen.refused.items()))
         raise AridcalError(f"no image is left. {shortened(printable(name))}: {why}")
@@ -235,11 +239,11 @@ def _write(
     with atomic_table(out, BESIDE) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
-        if text or stated:  # beside the table, where `init` looks for it
-            (folder / CAMERA).write_bytes(text.encode() or stated)
+        if text or stated_text:  # beside the table, where `init` looks for it
+            (folder / CAMERA).write_bytes(text.encode() or stated_text)
     lines = [f"refused: {shortened(printable(name))}: {why}" for _, name, why in refused[:SHOWN_REMARKS]]
     found = f"{out}: {len(table)} marks in {len(seen.good)} images, {len(refused)} images refused"
-    return [*lines, *said, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
+    return [*lines, *remarks, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 
 
 def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:

@@ -43,7 +43,7 @@ from aridcal.system.writing.whole_files import atomic_folder, claimed
 FILES = frozenset({"history.html", "history.csv"})
 """All that is written."""
 
-SHOWN = 12
+SHOWN_ROBOTS = 12
 """Robots that are printed, and lines about them; the page has all."""
 
 
@@ -61,33 +61,33 @@ def parser() -> CommandParser:
 
 def _main(arguments: argparse.Namespace) -> int:
     if arguments.out is None:
-        return _said(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
+        return _print_remarks(history(read_runs(arguments.folder), arguments.robot), screens(arguments)[0])
     check_apart((arguments.out / name for name in FILES), tables_below(arguments.folder))
     with claimed(arguments.out, "folder", FILES):
-        found = history(read_runs(arguments.folder), arguments.robot)
+        fleet_history = history(read_runs(arguments.folder), arguments.robot)
         with atomic_folder(arguments.out, FILES) as stage:
-            page = history_page(found, str(arguments.folder))
+            page = history_page(fleet_history, str(arguments.folder))
             (stage / "history.html").write_text(page, encoding="utf-8", errors="replace")
-            write_table(constant_table(found), stage / "history.csv")
-        return _said(found, screens(arguments)[0])
+            write_table(constant_table(fleet_history), stage / "history.csv")
+        return _print_remarks(fleet_history, screens(arguments)[0])
 
 
-def _said(found: History, console: Screen) -> int:
-    console.print(_table(found))
-    said = remarks(found)
-    more = [f"and {len(said) - SHOWN} more remarks"] if len(said) > SHOWN else []
-    console.say(*said[:SHOWN], *more, *about(found))
-    return NOT_GOOD if any(robot.alarms for robot in found.robots) else DONE
+def _print_remarks(fleet_history: History, console: Screen) -> int:
+    console.print(_table(fleet_history))
+    sentences = remarks(fleet_history)
+    further = [f"and {len(sentences) - SHOWN_ROBOTS} more remarks"] if len(sentences) > SHOWN_ROBOTS else []
+    console.say(*sentences[:SHOWN_ROBOTS], *further, *about(fleet_history))
+    return NOT_GOOD if any(robot.alarms for robot in fleet_history.robots) else DONE
 
 
-def _table(found: History) -> Table:
+def _table(fleet_history: History) -> Table:
     """The worst robots."""
-    more = f" ({SHOWN} of {len(found.robots)})" if len(found.robots) > SHOWN else ""
-    table = Table(title=f"robots, the worst first{more}", title_justify="left")
+    of_all = f" ({SHOWN_ROBOTS} of {len(fleet_history.robots)})" if len(fleet_history.robots) > SHOWN_ROBOTS else ""
+    table = Table(title=f"robots, the worst first{of_all}", title_justify="left")
     table.add_column("robot")
     for column in ("runs", "last run", "RMS before", "RMS after", "alarms"):
         table.add_column(column, justify="right")
-    for robot in found.robots[:SHOWN]:
+    for robot in fleet_history.robots[:SHOWN_ROBOTS]:
         errors = [robot.last_error(stage) for stage in ("nominal", "final")]
         table.add_row(Text(robot.name), str(len(robot.runs)), robot.last_day, *errors, str(len(robot.alarms)))
     return table

@@ -62,7 +62,7 @@ MOST_NOTICES = 8
 
 SEED_DIGITS = 18
 
-SHOWN = ("rms", "p95", "max")
+SHOWN_STATISTICS = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
 
 SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
@@ -119,33 +119,35 @@ def _error_table(outcome: Outcome) -> Table:
     table = Table(title=f"error on {mask.sum()} {rows}, the instrument's noise included", title_justify="left")
     table.add_column("model", no_wrap=True)
     first, *others = (outcome.channels[k] for k in judged_channels(outcome))
-    shown = [(first, key) for key in SHOWN] + [(channel, key) for channel in others for key in SHOWN[:2]]
+    columns = [(first, key) for key in SHOWN_STATISTICS] + [
+        (channel, key) for channel in others for key in SHOWN_STATISTICS[:2]
+    ]
     several = len(outcome.measurements.blocks) > 1
-    for channel, key in shown:
+    for channel, key in columns:
         whose = f"{channel.name} " if several else ""
         table.add_column(f"{whose}{SHOWN_AS[key]}, {channel.shown}", justify="right")
     for stage in outcome.stages:
-        found = errors(stage.residual, mask, outcome.channels)
-        table.add_row(stage.name, *(f"{found[channel.key][key]:.3f}" for channel, key in shown))
+        figures = errors(stage.residual, mask, outcome.channels)
+        table.add_row(stage.name, *(f"{figures[channel.key][key]:.3f}" for channel, key in columns))
     return table
 
 
-def _effect_line(outcome: Outcome, named: NamedEffect) -> str:
-    """An effect, those that would do as well in its place, and its gain on the held-out rows, if there are any."""
+def _effect_line(outcome: Outcome, effect: NamedEffect) -> str:
+    """A line on an effect: others that would do as well in its place, and its gain on the held-out rows, if there are any."""
     from aridcal.jobs.calibrate.key_figures import or_as_well
     from aridcal.jobs.calibrate.outcome import said
 
-    source = "declared" if named.declared else "found"
+    source = "declared" if effect.declared else "found"
     gain = ""
-    if len(named.before):
-        every = np.ones(len(named.before), dtype=bool)
-        without, with_it = (said(r, every, outcome.measurements) for r in (named.before, named.after))
+    if len(effect.before):
+        all_rows = np.ones(len(effect.before), dtype=bool)
+        without, with_it = (said(r, all_rows, outcome.measurements) for r in (effect.before, effect.after))
         gain = f": {without} without it, {with_it} with it"
-    return f"{source}: {named.effect.label} [{', '.join(named.effect.motion)}]{or_as_well(named)}{gain}"
+    return f"{source}: {effect.effect.label} [{', '.join(effect.effect.motion)}]{or_as_well(effect)}{gain}"
 
 
 def _noise_line(outcome: Outcome) -> str:
-    """The noise that is left, and what it is made of beyond the instrument."""
+    """A line on the noise that is left, and its sources beyond the instrument."""
     from aridcal.pages.drawing.words import causes_in_words, noise_in_words
 
     causes = causes_in_words(outcome)
@@ -153,7 +155,7 @@ def _noise_line(outcome: Outcome) -> str:
 
 
 def _verification_lines(v: Verification) -> list[str]:
-    """Errors on another day's data."""
+    """Lines on the errors on another day's data."""
     from aridcal.jobs.calibrate.outcome import said
 
     sound = ~v.outlier
@@ -265,15 +267,15 @@ def _headline(out: Path, outcome: Outcome) -> dict[str, Any]:
     """What `--json` prints: keys of `result.json`, the error on the rows that judge, and where the pages are."""
     from aridcal.jobs.calibrate.key_figures import scored  # as above
 
-    found = json.loads(read_file(out / "result.json", OutputError, RESULT))
-    judged, rows = scored(outcome)
-    part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, judged))
+    document = json.loads(read_file(out / "result.json", OutputError, RESULT))
+    scored_rows, rows = scored(outcome)
+    part = next(name for name, mask in outcome.parts().items() if np.array_equal(mask, scored_rows))
     keys = ("verdict", "reasons", "effects", "workspace", "notices")
     return {
-        "format": found["format"],
-        "rows": f"{judged.sum()} {rows}",
-        "error": {stage: parts[part] for stage, parts in found["error"].items()},
-        **{key: found[key] for key in keys if key in found},
+        "format": document["format"],
+        "rows": f"{scored_rows.sum()} {rows}",
+        "error": {stage: parts[part] for stage, parts in document["error"].items()},
+        **{key: document[key] for key in keys if key in document},
         **{page: str(out / page) for page in ("report.html", "certificate.pdf") if (out / page).is_file()},
     }
 

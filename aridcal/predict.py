@@ -70,16 +70,16 @@ def _predict(arguments: argparse.Namespace) -> None:
     calibration = SavedModel.load(arguments.calibration)
     if arguments.of is not None:
         calibration = calibration.of_link(arguments.of, arguments.inside)
-    answered = PredictionTotals(calibration.measurements.columns.get("x", "x"))
+    totals = PredictionTotals(calibration.measurements.columns.get("x", "x"))
     _, aside = screens(arguments)
     with atomic_file(arguments.out) as path, table_file(path) as write, told_on(aside) as progress:
         progress.at("predicting")
         for query, stretch in read_queries(calibration, arguments.query):
             table = predict(calibration, query)
             write(table)
-            answered.add(query, table)
+            totals.add(query, table)
             progress.share(stretch.share(len(table)))
-    _report(answered, arguments.out, aside)
+    _report(totals, arguments.out, aside)
 
 
 @dataclass
@@ -112,13 +112,13 @@ class PredictionTotals:
         self.remarks.add(query)
 
 
-def _report(answered: PredictionTotals, out: Path, console: Screen) -> None:
+def _report(totals: PredictionTotals, out: Path, console: Screen) -> None:
     """Print remarks and totals."""
-    console.say(*answered.remarks.lines())
-    said = f"{out}: {answered.rows} rows, {answered.unlike} of them unlike what was measured"
-    said += f", {answered.untold} where no reading told a part of what moves the target" if answered.untold else ""
-    said += f", {answered.bare} without a pose because a number is missing" if answered.bare else ""
-    console.say(said)
+    console.say(*totals.remarks.lines())
+    sentence = f"{out}: {totals.rows} rows, {totals.unlike} of them unlike what was measured"
+    sentence += f", {totals.untold} where no reading told a part of what moves the target" if totals.untold else ""
+    sentence += f", {totals.bare} without a pose because a number is missing" if totals.bare else ""
+    console.say(sentence)
 
 
 main = command(parser, _main)

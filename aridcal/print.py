@@ -99,30 +99,30 @@ def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:
     with atomic_file(out) as path:
         path.write_bytes(content)
     rise = MM * seat_rise(options["ball"])
-    said = [
+    remarks = [
         f"{out}: {what} for a ball of {MM * options['ball']:g} mm, whose centre is {rise:.2f} mm above the seat's mouth"
     ]
     if what == "holder":
-        said.append(
+        remarks.append(
             f"in the campaign: instruments: {{lengths: [{{between: [a0, a1], length: {options['apart']:g}, std: 1.0e-4}}]}}"
         )
-    return said
+    return remarks
 
 
 def _print_sheet(what: str, options: dict[str, Any], out: Path) -> list[str]:
-    plain, found = sheet_of(what, options)
+    plain, marks_found = sheet_of(what, options)
     sheet = on_paper(plain, f"aridcal print {what} {as_written(options)}".strip())
     content = svg(sheet).encode() if out.suffix.lower() == ".svg" else pdf(sheet)
     width, height = sheet.size
-    said = [f"{out}: {width:g} x {height:g} mm; print it at 100 %, then measure both rulers"]
-    if found is None:
+    remarks = [f"{out}: {width:g} x {height:g} mm; print it at 100 %, then measure both rulers"]
+    if marks_found is None:
         with atomic_file(out) as path:
             path.write_bytes(content)
-        return said
+        return remarks
     with atomic_table(out, [MARKERS]) as folder:
         (folder / out.name).write_bytes(content)
-        markers_table(found).to_csv(folder / MARKERS, index=False)
-    return [*said, f"{out.parent / MARKERS}: places of its {len(found)} marks"]
+        markers_table(marks_found).to_csv(folder / MARKERS, index=False)
+    return [*remarks, f"{out.parent / MARKERS}: places of its {len(marks_found)} marks"]
 
 
 main = command(parser, _main)

@@ -39,8 +39,8 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     console, aside = screens(arguments)
     with told_on(aside) as progress:
-        said = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
-    console.say(*said)
+        sentences = recalibrate(arguments.results, arguments.rows, arguments.out, progress)
+    console.say(*sentences)
     console.say(f"repaired: {arguments.out / 'report.html'}")
 
 

@@ -61,9 +61,9 @@ def _main(arguments: argparse.Namespace) -> int:
     job = load_study(arguments.study)
     console, aside = screens(arguments)
     with told_on(aside) as progress:
-        done = repeated(job, out, arguments.scheduler, progress)
-    console.say(*summary(done), f"table: {out / NAME}", f"page: {out / PAGE}")
-    return NOT_GOOD if done.remaining or any(row["status"] == FAILED for row in done.rows) else DONE
+        results = repeated(job, out, arguments.scheduler, progress)
+    console.say(*summary(results), f"table: {out / NAME}", f"page: {out / PAGE}")
+    return NOT_GOOD if results.remaining or any(row["status"] == FAILED for row in results.rows) else DONE
 
 
 main = command(parser, _main)

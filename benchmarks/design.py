@@ -31,7 +31,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.plan.beforehand import Beforehand, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
 from aridcal.jobs.plan.information import rows_of
-from aridcal.jobs.plan.pose_design import POOL, RANDOM, SMALL_POOL, Asked, question
+from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, Asked, question
 from aridcal.jobs.plan.refine import Refined, refined
 from aridcal.jobs.plan.row_exchange import best_choice, exchanged, rms_sigma, worst_sigma
 from aridcal.jobs.plan.target_region import region_readings
@@ -94,7 +94,9 @@ def planned() -> None:
                 seconds = time.process_time() - started
                 M = replace(choice, rows=best.rows).information(range(n))
                 count = len(candidates.readings)
-                random = [rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM)]
+                random = [
+                    rms_sigma(choice, choice.information(rng.permutation(count)[:n])) for _ in range(RANDOM_CHOICES)
+                ]
                 near = "" if suspects else f"{_near(known, n, region, rng):.3f}"
             sigma = rms_sigma(choice, M)
             told = f"{1e3 * sigma:10.4f} {1e3 * worst_sigma(choice, M):10.4f} {sigma / np.median(random):10.3f}  {near:>24s}"
@@ -126,7 +128,9 @@ def suspects() -> None:
             best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
             shares = []
             for other, judged, unknowns in asked:
-                random = [rms_sigma(judged, judged.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM)]
+                random = [
+                    rms_sigma(judged, judged.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM_CHOICES)
+                ]
                 M = replace(judged, rows=rows_of(other, unknowns, best.candidates)).information(range(n))
                 shares.append(rms_sigma(judged, M) / np.median(random))
             told = f"{shares[0]:.3f} where there are constants alone, {shares[1]:.3f} where such effects are"
@@ -148,7 +152,9 @@ def bound() -> None:
         choice, of = question(known, Asked(n), candidates, region_readings(known, None, rng))
         chosen = best_choice(choice, n, rng)
         best = refined(known, of, choice, Refined(candidates.some(chosen), choice.rows[chosen]), rng)
-    random = np.median([rms_sigma(choice, choice.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM)])
+    random = np.median(
+        [rms_sigma(choice, choice.information(rng.permutation(POOL)[:n])) for _ in range(RANDOM_CHOICES)]
+    )
     rows = np.concatenate([choice.rows, best.rows])
     w = np.full(len(rows), 1.0 / len(rows))
     for _ in range(ROUNDS):

@@ -38,7 +38,7 @@ from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.history.store import read_runs
 from aridcal.jobs.history.trend import Cycle, Series, dated, evidence
-from aridcal.jobs.history.wear import LOOKS, History, history
+from aridcal.jobs.history.wear import LOOKS_PER_SEASON, History, history
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -212,7 +212,7 @@ def alarms(seasons: int) -> None:
         below = (p < level).mean(axis=0)
         cycling = np.arange(count) % 3 == 0
         print(f"  {level:g}: {below[~cycling].mean():.2g}, {below[cycling].mean():.2g}")
-    fleet = p.min(axis=1) * count * LOOKS
+    fleet = p.min(axis=1) * count * LOOKS_PER_SEASON
     print(f"seasons with an alarm anywhere: {np.sum(fleet < FALSE_ALARMS)} of {seasons}, stated {FALSE_ALARMS:.0%}")
 
 
@@ -237,7 +237,7 @@ def dates(seasons: int) -> None:
                 error.append(abs(found.began - day_of(begins)) / day_of(1.0))
                 held.append(found.low <= day_of(begins) <= found.high)
                 right.append(found.kind == kind)
-                alarmed.append(evidence(series).p_value * ROBOTS * CONSTANTS * LOOKS < FALSE_ALARMS)
+                alarmed.append(evidence(series).p_value * ROBOTS * CONSTANTS * LOOKS_PER_SEASON < FALSE_ALARMS)
             print(
                 f"  {kind} of {size:g} sigma{' a month' if kind == 'drift' else ''} from month {begins}: alarm in "
                 f"{np.mean(alarmed):.0%}, date off by {np.median(error):.2f} (median), {np.quantile(error, 0.95):.2f} (95 %), in "

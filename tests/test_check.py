@@ -32,7 +32,15 @@ from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, bounds
 from aridcal.jobs.maintain.checking import asked, check
 from aridcal.jobs.maintain.hypotheses import suspects, widened
-from aridcal.jobs.maintain.likelihoods import LOG_WEIGHTS, TIMES, Question, alarm, covariance_of, evidence, likely
+from aridcal.jobs.maintain.likelihoods import (
+    LOG_WEIGHTS,
+    NOISE_FACTORS,
+    Question,
+    alarm,
+    covariance_of,
+    evidence,
+    likely,
+)
 from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
@@ -88,7 +96,8 @@ def test_evidence_is_the_mean_of_normal_densities():
     known = place.J @ asking.covariance @ place.J.T
     eye = np.eye(len(place.r))
     logs = [
-        [multivariate_normal(None, k**2 * eye + known + s**2 * B @ B.T).logpdf(place.r) for k in TIMES] for s in sizes
+        [multivariate_normal(None, k**2 * eye + known + s**2 * B @ B.T).logpdf(place.r) for k in NOISE_FACTORS]
+        for s in sizes
     ]
     np.testing.assert_allclose(found.density, logs, atol=1e-4)
     assert found.total == pytest.approx(logsumexp(np.array(logs) + LOG_WEIGHTS) - np.log(len(logs)), abs=1e-6)
@@ -136,7 +145,7 @@ def test_noise_with_tails_and_nothing_to_explain_has_the_density_of_students_t()
     place = likely(asking)
     found = evidence(place, 1.0, np.zeros((len(place.r), 0)), (1.0,)).density[0]
     r = asking.at(asking.theta)[0].reshape(6, 6)
-    for k, seen in zip(TIMES, found, strict=True):
+    for k, seen in zip(NOISE_FACTORS, found, strict=True):
         of_channels = [
             multivariate_t(np.zeros(3), k**2 * np.eye(3), df=df).logpdf(part)
             for df, part in ((2.0, r[:, :3]), (5.0, r[:, 3:]))

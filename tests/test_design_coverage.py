@@ -22,7 +22,7 @@ from aridcal.jobs.plan.pose_design import Asked, Plan, design, question
 from aridcal.jobs.plan.refine import Refined, refined
 from aridcal.jobs.plan.row_exchange import best_choice
 from aridcal.jobs.plan.target_region import region_readings
-from aridcal.jobs.plan.usual_effects import USUAL, with_stated_effects, with_usual_effects
+from aridcal.jobs.plan.usual_effects import USUAL_MOTIONS, with_stated_effects, with_usual_effects
 from aridcal.pages.drawing.figures import falling
 from aridcal.pages.plan_page import plan_page, worth
 
@@ -85,7 +85,7 @@ def test_what_usual_effects_are_expected_to_do_is_what_is_said(tmp_path: Path) -
     for column, k in enumerate(varying):
         moved = phi[:, column] * usual.prior[k] * rng.standard_normal((2000, 1))
         size = np.sqrt(np.mean(moved**2))
-        assert min(abs(size / own - 1.0) for own in USUAL.values()) < 0.1
+        assert min(abs(size / own - 1.0) for own in USUAL_MOTIONS.values()) < 0.1
 
 
 def test_usual_effects_are_of_the_kinds_that_would_be_looked_for(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aridcal.jobs.fleet.drifting import chance_of, drifting, freedom_of
-from aridcal.jobs.fleet.outliers import FEWEST, quantile_of_largest, standing_out
+from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, quantile_of_largest, standing_out
 from aridcal.jobs.fleet.runs import Ran
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.fleet_page import fleet_page
@@ -95,7 +95,7 @@ def test_half_of_the_robots_may_be_spoilt_and_few_or_others_are_not_compared() -
     for k in range(9):
         rows[k]["constants"][0]["value"] += 1.0 + k
     assert {out.robot for out in standing_out(rows)[0]} == {f"r{k:02d}" for k in range(9)}
-    assert standing_out(rows[: FEWEST - 1]) == ([], 0)
+    assert standing_out(rows[: FEWEST_ROBOTS - 1]) == ([], 0)
     mixed = [r | {"urdf": str(k % 3)} for k, r in enumerate(rows)]
     assert standing_out(mixed)[1] == 0
     assert standing_out([r | {"status": "failed"} for r in rows]) == ([], 0)

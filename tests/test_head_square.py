@@ -42,7 +42,7 @@ def test_square_has_the_reports_dimensions():
 def test_strip_of_28_squares_is_112_inches_and_neighbours_are_half_an_inch_apart():
     T = strip_placements()
     assert np.isclose(28 * SIDE, 2.8448) and np.allclose(T[27, :3, 3], [0, 27 * SIDE, 0])
-    around = layout(dict(enumerate(T)), own=5)
+    around = layout(dict(enumerate(T)), square=5)
     p6 = around.centres[(around.square == 6) & (around.fiducial == 6)][0]
     p2 = around.centres[(around.square == 5) & (around.fiducial == 2)][0]
     assert np.isclose(np.linalg.norm(p6 - p2), 0.0127)
@@ -55,7 +55,7 @@ def test_layout_follows_a_square_that_is_tilted_and_shifted():
     T = np.eye(4)
     T[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     T[:3, 3] = [0.1, 0.05, 0.02]
-    around = layout({3: np.eye(4), 7: T}, own=3)
+    around = layout({3: np.eye(4), 7: T}, square=3)
     corners = around.corners[around.square == 7]
     flat = np.concatenate([fiducial_corners(), np.zeros((6, 4, 1))], axis=2)
     assert np.allclose(corners, flat @ T[:3, :3].T + T[:3, 3])

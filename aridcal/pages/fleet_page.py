@@ -13,7 +13,7 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.jobs.fleet.drifting import Drift, drifting
-from aridcal.jobs.fleet.outliers import FEWEST, StandsOut, makes, standing_out
+from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, StandsOut, makes, standing_out
 from aridcal.jobs.fleet.row_figures import are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import Row
 from aridcal.jobs.fleet.runs import Ran
@@ -138,7 +138,7 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     """Robots that are far from the others of their make."""
     found, compared = standing_out(rows)
     if not compared:
-        yield tag("p", f"Robots are set beside each other from {FEWEST} of one make (one URDF) on.")
+        yield tag("p", f"Robots are set beside each other from {FEWEST_ROBOTS} of one make (one URDF) on.")
         return
     chance = f"{100 * FALSE_ALARMS:.0f} %"
     yield tag(
@@ -150,7 +150,7 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     if alone:
         yield tag(
             "p",
-            f"{counted(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST} robots {_were(alone)} not compared.",
+            f"{counted(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST_ROBOTS} robots {_were(alone)} not compared.",
         )
     if not found:
         yield tag("p", "No robot stands out.")

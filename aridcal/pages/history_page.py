@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.history.comparison import p_in_words
-from aridcal.jobs.history.trend import FEWEST
+from aridcal.jobs.history.trend import FEWEST_RUNS
 from aridcal.jobs.history.wear import DAY_ZERO, History, RobotHistory, Watched
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.frame import framed_page, sections
@@ -98,10 +98,10 @@ def about(found: History) -> list[str]:
         said.append(f"{name} of {_some(robots)} moved as a yearly cycle does: season or drift, more months will tell")
     if len(cycling) > MOST_CYCLES:
         said.append(f"and {len(cycling) - MOST_CYCLES} other constants did so")
-    few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST]
+    few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST_RUNS]
     none = [robot.name for robot in found.robots if not robot.watched]
     if few:
-        said.append(f"{_some(few)}: fewer than {FEWEST} runs, of which none can tell a drift from the season")
+        said.append(f"{_some(few)}: fewer than {FEWEST_RUNS} runs, of which none can tell a drift from the season")
     if none:
         said.append(f"{_some(none)}: fewer than two runs that can be compared")
     wide = {name: value for name, value in found.scatter.items() if value > MUCH_SCATTER}

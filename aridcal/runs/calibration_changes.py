@@ -42,18 +42,20 @@ def changes(a: str | Path | SavedModel, b: str | Path | SavedModel) -> Changes:
         AridcalError: one is not there, or they are not of one arm.
     """
     first, second = (saved if isinstance(saved, SavedModel) else SavedModel.load(saved) for saved in (a, b))
-    found = compare(first, second)
+    comparison = compare(first, second)
     columns = ["what", "name", "unit", "before", "change", "std", "p_value"]
     rows = [
         (c.words, name, unit, before, float(value), float(std), c.p_value)
-        for c in found.causes.found
+        for c in comparison.causes.found
         for name, unit, before, value, std in zip(c.names, c.units, c.before, c.value, c.std, strict=True)
     ]
-    each = pd.DataFrame(constants(found), columns=["name", "unit", "before", "after", "change", "std", "p_value"])
+    coefficients = pd.DataFrame(
+        constants(comparison), columns=["name", "unit", "before", "after", "change", "std", "p_value"]
+    )
     return Changes(
-        found.changed,
-        found.difference.p_value,
+        comparison.changed,
+        comparison.difference.p_value,
         pd.DataFrame(rows, columns=columns),
-        each,
-        tuple([*lines(found), *(f"note: {notice}" for notice in found.notices)]),
+        coefficients,
+        tuple([*lines(comparison), *(f"note: {notice}" for notice in comparison.notices)]),
     )

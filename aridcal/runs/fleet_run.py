@@ -105,14 +105,14 @@ def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, 
 def summary(ran: Ran) -> list[str]:
     """What became of the fleet, in lines."""
     done = len(ran.now) - len(ran.failed) - sum(name in ran.now for name in ran.remaining)
-    asked = done + len(ran.failed) + len(ran.remaining)
-    known = f", {len(ran.kept):,} of them known already" if ran.kept else ""
-    lines = [f"{done:,} of {counted(asked, 'robot')} done{known}"]
+    requested = done + len(ran.failed) + len(ran.remaining)
+    known_part = f", {len(ran.kept):,} of them known already" if ran.kept else ""
+    lines = [f"{done:,} of {counted(requested, 'robot')} done{known_part}"]
     if ran.failed:
         lines.append(f"{counted(len(ran.failed), 'robot')} failed:")
-        named = list(ran.failed.items())
-        lines += [f"  {name}: {shortened(why, 400)}" for name, why in named[:MOST_NAMED]]
-        lines += _more(len(named))
+        failures = list(ran.failed.items())
+        lines += [f"  {name}: {shortened(why, 400)}" for name, why in failures[:MOST_NAMED]]
+        lines += _more(len(failures))
     if ran.remaining:
         lines.append(f"{counted(len(ran.remaining), 'robot')} remain, for {ran.gone}:")
         lines += [f"  {name}" for name in ran.remaining[:MOST_NAMED]]

@@ -30,7 +30,7 @@ QUESTIONS = (
 
 @dataclass(frozen=True)
 class Logs:
-    """Two logs that were read, or a log of joints and the images of the same bag.
+    """Two logs, or a log of joints and the images of the same bag.
 
     Attributes:
         robot: The nominal robot.
@@ -55,7 +55,7 @@ class Logs:
 def joined(
     joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
 ) -> Merged:
-    """Join two logs, or what one bag holds of both; see :func:`read_logs`.
+    """Join two logs, or both logs of one bag; see :func:`read_logs`.
 
     Raises:
         AridcalError: the logs cannot be read or joined, or images are what was measured.
@@ -71,11 +71,11 @@ def joined(
 def read_logs(
     joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
 ) -> Logs:
-    """Read two logs, or what one bag holds of both.
+    """Read two logs, or both logs of one bag.
 
     Args:
         joints: A table or a bag with the joints' readings over time.
-        tracker: The same of the target's pose or position; None: the bag has it.
+        tracker: A table or a bag with the target's pose or position over time; None: the bag has it.
         urdf: The nominal robot.
         tip: The link that carries the target.
         choose: Asked where the logs leave a choice that changes numbers.
@@ -99,15 +99,15 @@ def read_logs(
     log = bags.joint_log(Path(str(joints)), robot) if is_bag else log_files.joint_log(joints, robot, asker)
     if bags.is_bag(tracker):
         links = frozenset(read_tree(robot.urdf, robot.path).links)
-        measured: TrackerLog | BagCamera = bags.tracker_log(Path(str(tracker)), links, asker)
-        if isinstance(measured, BagCamera) and not (is_bag and Path(str(tracker)) == Path(str(joints))):
+        second: TrackerLog | BagCamera = bags.tracker_log(Path(str(tracker)), links, asker)
+        if isinstance(second, BagCamera) and not (is_bag and Path(str(tracker)) == Path(str(joints))):
             raise AridcalError(
-                f"{measured.title}: holds images, for which joints of the same bag are needed: nothing else tells its clock from "
+                f"{second.title}: holds images, for which joints of the same bag are needed: nothing else tells its clock from "
                 f"that of {joints}. Record both together, or name each joint row's image and use `aridcal detect --joints`"
             )
     else:
-        measured = log_files.tracker_log(tracker, robot, asker)
-    return Logs(robot, log, measured, Path(str(tracker)), asker)
+        second = log_files.tracker_log(tracker, robot, asker)
+    return Logs(robot, log, second, Path(str(tracker)), asker)
 
 
 def merge(
@@ -133,14 +133,14 @@ def merge(
     Raises:
         AridcalError: the logs cannot be read or joined; saying why.
     """
-    found = joined(joints, tracker, Path(urdf), tip, nobody, answers or {})
-    tell(found, Screen(force_jupyter=False))
-    return found.table
+    result = joined(joints, tracker, Path(urdf), tip, nobody, answers or {})
+    tell(result, Screen(force_jupyter=False))
+    return result.table
 
 
-def tell(found: Merged, console: Screen) -> None:
-    """Print what was found, and which standstills make no row."""
-    said = [*lines(found), *(f"no row: {one}" for one in found.unpaired[:SHOWN_REMARKS])]
-    if len(found.unpaired) > SHOWN_REMARKS:
-        said.append(f"no row: {len(found.unpaired) - SHOWN_REMARKS} more standstills")
-    console.say(*said)
+def tell(result: Merged, console: Screen) -> None:
+    """Print how the logs were joined, and the standstills that make no row."""
+    sentences = [*lines(result), *(f"no row: {standstill}" for standstill in result.unpaired[:SHOWN_REMARKS])]
+    if len(result.unpaired) > SHOWN_REMARKS:
+        sentences.append(f"no row: {len(result.unpaired) - SHOWN_REMARKS} more standstills")
+    console.say(*sentences)

@@ -21,7 +21,7 @@ from aridcal.system.writing.table_writer import ENDINGS, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home
 
 PAGE = ".html"
-WRITTEN = (*ENDINGS, *PROGRAMS, PAGE)
+PLAN_ENDINGS = (*ENDINGS, *PROGRAMS, PAGE)
 """Endings of what can be written."""
 
 MOST_PLANNED = 500
@@ -35,8 +35,8 @@ def check_endings(out: Sequence[Path]) -> None:
         OutputError: naming the file.
     """
     for path in out:
-        if path.suffix.lower() not in WRITTEN:
-            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(WRITTEN)}")
+        if path.suffix.lower() not in PLAN_ENDINGS:
+            raise OutputError(f"{path}: should be a file that ends in one of {', '.join(PLAN_ENDINGS)}")
         check_home(path)
 
 
@@ -66,7 +66,7 @@ def write_plan(plan: Plan, campaign: Campaign, robot: Robot, out: Sequence[Path]
 
     Args:
         plan: What to write.
-        campaign: What it is for.
+        campaign: Whose measurements it plans.
         robot: The chain.
         out: The files.
         settle: What programs wait at each configuration, [s].
@@ -85,13 +85,13 @@ def _write(plan: Plan, campaign: Campaign, robot: Robot, path: Path, file: Path,
     elif ending == PAGE:
         file.write_text(plan_page(plan, robot, campaign.path.name), encoding="utf-8", errors="replace")
     else:
-        # controllers go straight in joints; who knows by which way MoveIt comes
+        # controllers go straight in joints; MoveIt may come by any way
         via = plan.via if ending == WAYPOINTS else np.where(plan.by_way[:, None], plan.via, np.nan)
         readings = plan.readings
         if ending != WAYPOINTS:  # MoveIt counts as the URDF does, a controller as its own joints in the tables
-            own = counting(campaign.measurements, robot.readings, robot.kinds)
-            readings, via = own.shown(readings), own.shown(via)
-        made = moves(
+            conversion = counting(campaign.measurements, robot.readings, robot.kinds)
+            readings, via = conversion.shown(readings), conversion.shown(via)
+        motion = moves(
             campaign.path.name, robot.readings, robot.kinds, readings, via, plan.titles, settle, (plan.kept_out,)
         )
-        file.write_text(program(made, ending, path.stem), encoding="utf-8", errors="replace")
+        file.write_text(program(motion, ending, path.stem), encoding="utf-8", errors="replace")

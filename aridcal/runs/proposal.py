@@ -1,4 +1,4 @@
-"""What is said of a campaign that was proposed."""
+"""The words on a proposed campaign."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from aridcal.system.progress import SHOWN_REMARKS, Screen
 
 
 def tell(proposed: Draft, title: str, console: Screen) -> None:
-    """Print what was found and what was guessed, and of how many rows a title can say that they are usable."""
+    """Print findings and guesses of a proposal, and the number of usable rows."""
     by_reason = itertools.groupby(proposed.proposal.guesses, key=lambda guess: (guess.why, guess.sure))
     for (why, sure), group in by_reason:
         entries = [guess.name if guess.value is None else f"{guess.name} = {scalar(guess.value)}" for guess in group]
@@ -18,5 +18,5 @@ def tell(proposed: Draft, title: str, console: Screen) -> None:
     rows = proposed.rows
     for remark in (*rows.origin.refused, *rows.origin.notices)[:SHOWN_REMARKS]:
         console.say(f"note     {remark}")
-    said = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
-    console.say(said)
+    summary = f"{title}: {len(rows)} usable rows, {len(rows.origin.refused)} refused"
+    console.say(summary)

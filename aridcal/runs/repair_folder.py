@@ -1,4 +1,4 @@
-"""The folder of a repaired calibration: what moved is found by new rows and fitted, all else kept."""
+"""The folder of a repaired calibration: what moved is identified with new rows and fitted, all else is kept."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from aridcal.system.reading.regular_files import CALIBRATION, read_file
 from aridcal.system.writing.apart import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
-AGAINST = "where it was calibrated, against the repaired model"
-"""On what exports are scored: ten rows could not say it."""
+SCORED_ON = "where it was calibrated, against the repaired model"
+"""Where exports are scored, in words: ten rows could not say it."""
 
 
 def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = SILENT) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
         progress: Told what is being done.
 
     Returns:
-        What was found, in words, a line each.
+        Lines on what moved.
 
     Raises:
         AridcalError: nothing can or must be repaired, or something of the input needs mending.
@@ -53,40 +53,42 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
         saved = SavedModel.load(results)
         content = read_file(before, CampaignError, CALIBRATION)
         progress("asking what moved")
-        new = read_new_rows(saved, table)
-        checked = check(saved, new.rows, frames=new.frames)
-        mended = repaired(saved, checked)
-        lines = check_lines(checked, mended.changes, saved.measurements)
+        new_rows = read_new_rows(saved, table)
+        checked = check(saved, new_rows.rows, frames=new_rows.frames)
+        repair = repaired(saved, checked)
+        lines = check_lines(checked, repair.changes, saved.measurements)
         progress("setting the repair beside the rows")
-        made = repair_outcomes(saved, checked, mended)
+        outcomes = repair_outcomes(saved, checked, repair)
         parents = lineage(saved, before, content, checked)
-        notices = _write(out, made, checked, mended, parents, lines, figures_before(before), progress)
-    return (*lines, left_out_line(made), *(f"note: {notice}" for notice in notices))
+        notices = _write(out, outcomes, checked, repair, parents, lines, figures_before(before), progress)
+    return (*lines, left_out_line(outcomes), *(f"note: {notice}" for notice in notices))
 
 
 def _write(
     out: Path,
-    made: RepairOutcomes,
+    outcomes: RepairOutcomes,
     checked: Checked,
-    mended: Repaired,
+    repair: Repaired,
     parents: dict[str, Any],
     lines: list[str],
     figures: dict[str, Any],
     progress: Progress,
 ) -> tuple[str, ...]:
     """Write the folder's files; returns what could not be drawn."""
-    saved = replace(mended.saved, record=mended.saved.record | {"lineage": parents})
+    saved = replace(repair.saved, record=repair.saved.record | {"lineage": parents})
     with atomic_folder(out, RESULT_FILES | RESULT_FOLDERS) as stage:
         (stage / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
         read = write_urdf(stage / "calibrated.urdf", saved.geometric.model, saved.geometric.theta)
         if any(not c.basis.always for c in saved.final.model.coefficients):
             write_urdf(stage / "model.urdf", saved.final.model, saved.final.theta)
-        found = document(made, checked, mended, parents, figures)
-        (stage / "result.json").write_text(json.dumps(found, indent=2, allow_nan=False) + "\n")
-        residuals(made).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
+        figures_now = document(outcomes, checked, repair, parents, figures)
+        (stage / "result.json").write_text(json.dumps(figures_now, indent=2, allow_nan=False) + "\n")
+        residuals(outcomes).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
         progress("working out what controllers can be given")
-        handover = replace(hand_over(made.model), rows=f"{len(made.model.measurements)} configurations {AGAINST}")
-        write_controllers(made.model, handover, stage)
+        handover = replace(
+            hand_over(outcomes.model), rows=f"{len(outcomes.model.measurements)} configurations {SCORED_ON}"
+        )
+        write_controllers(outcomes.model, handover, stage)
         progress("drawing the report and the scene")
-        notices = write_repair_report(made, checked, mended, parents, lines, handover, stage / "report.html")
-        return (*read, *notices, *write_scene(made.rows, stage / "scene.html"))
+        notices = write_repair_report(outcomes, checked, repair, parents, lines, handover, stage / "report.html")
+        return (*read, *notices, *write_scene(outcomes.rows, stage / "scene.html"))

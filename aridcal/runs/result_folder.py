@@ -24,15 +24,15 @@ RESULT_FILES = frozenset(
         *("certificate.html", "certificate.pdf"),
     }
 )
-"""All that a result may have: what an earlier one had and this has not must not outlive it."""
+"""All files that a result may have: a file of an earlier result that this one lacks must go."""
 
 RESULT_FOLDERS = frozenset({"regions"})
-"""The folders among that."""
+"""Folders that a result may have."""
 
 
 @dataclass(frozen=True)
 class Written:
-    """What is worth saying of a folder that was written.
+    """Remarks on a folder that was written.
 
     Attributes:
         handover: What each kind of controller can be given.
@@ -51,7 +51,7 @@ def write_folder(
     Figures come first. A picture that cannot be drawn costs a notice and no other file.
 
     Args:
-        outcome: What was found.
+        outcome: Of the calibration.
         folder: Where to write it.
         progress: Told what is being written.
         beside: Further files, text by name.
@@ -70,7 +70,7 @@ def write_folder(
     give_back()
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:
         progress("writing figures and tables")
-        read = write_results(outcome, stage, progress)
+        notices_read = write_results(outcome, stage, progress)
         progress("working out what controllers can be given")
         give_back()
         handover = hand_over(outcome)
@@ -80,7 +80,7 @@ def write_folder(
         notices += write_certificate(outcome, stage, datetime.date.today())
         give_back()
         progress("drawing the report")  # last, for it links to what is there
-        notices = read + write_report(outcome, handover, stage / "report.html", progress) + notices
+        notices = notices_read + write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():
             (stage / name).write_text(text, encoding="utf-8")
     return Written(handover, notices)

@@ -1,4 +1,4 @@
-"""Whether a calibration is still good by new rows, as Python users have it."""
+"""The check of a calibration by new rows, as Python users have it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Check(InWords):
 
 
 def check_rows(saved: SavedModel, table: AnyTable, tolerance: float | None = None) -> Check:
-    """Ask new rows whether a calibration is still good.
+    """Check by new rows whether a calibration is still good.
 
     Args:
         saved: The calibration.
@@ -43,14 +43,14 @@ def check_rows(saved: SavedModel, table: AnyTable, tolerance: float | None = Non
     Raises:
         AridcalError: the rows need mending, or nothing can be said of a tolerance.
     """
-    new = read_new_rows(saved, table)
-    found = check(saved, new.rows, tolerance, new.frames)
-    moved = changes(found)
+    new_rows = read_new_rows(saved, table)
+    checked = check(saved, new_rows.rows, tolerance, new_rows.frames)
+    moved = changes(checked)
     columns = ["moved", "name", "unit", "value", "std", "probability"]
     rows = [
         (c.cause.where, name, unit, value, std, c.cause.probability)
         for c in moved
         for name, unit, value, std in zip(c.names, c.units, c.value.tolist(), c.std.tolist(), strict=True)
     ]
-    lines = tuple(check_lines(found, moved, saved.measurements))
-    return Check(found.good, found.first.p_value, pd.DataFrame(rows, columns=columns), lines)
+    lines = tuple(check_lines(checked, moved, saved.measurements))
+    return Check(checked.good, checked.first.p_value, pd.DataFrame(rows, columns=columns), lines)

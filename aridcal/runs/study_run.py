@@ -51,19 +51,19 @@ class StudyRun(InWords):
     lines: tuple[str, ...]
 
 
-def study_run(done: Studied, out: Path) -> StudyRun:
+def study_run(results: Studied, out: Path) -> StudyRun:
     """What a study found, for Python."""
     from aridcal.pages.fleet_tables import again_table, case_table, run_table, scatter_table
 
-    halves = [row for row in done.rows if row["rows"] is None]
+    halves = [row for row in results.rows if row["rows"] is None]
     return StudyRun(
         folder=out,
-        cases=case_table(done),
-        runs=run_table(done),
+        cases=case_table(results),
+        runs=run_table(results),
         effects=again_table(halves),
         constants=scatter_table(halves),
-        remaining=done.remaining,
-        lines=tuple(summary(done)),
+        remaining=results.remaining,
+        lines=tuple(summary(results)),
     )
 
 
@@ -81,28 +81,30 @@ def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progres
     """
     with claimed(out, "folder", (NAME, PAGE)):
         out.mkdir(exist_ok=True)
-        every = trials(job)
-        known = known_runs(out, every)
-        needed = len(known) < len(every)
+        all_trials = trials(job)
+        known_rows = known_runs(out, all_trials)
+        needed = len(known_rows) < len(all_trials)
         with dask_engine(scheduler, progress) if needed else nullcontext(here) as engine:
-            done = studied(every, known, out, engine, progress)
+            results = studied(all_trials, known_rows, out, engine, progress)
         progress("drawing the page")
         title = job.path.absolute().parent.name + "/" + job.path.name
         with atomic_file(out / PAGE) as path:
-            page = study_page(done, title, sought(job), isinstance(job, Campaign))
+            page = study_page(results, title, sought(job), isinstance(job, Campaign))
             path.write_bytes(page.encode("utf-8", "replace"))
-    return done
+    return results
 
 
-def summary(done: Studied) -> list[str]:
+def summary(results: Studied) -> list[str]:
     """What became of the study, in lines."""
-    failed = [row for row in done.rows if row["status"] == FAILED]
-    known = f", {done.kept:,} of them known already" if done.kept else ""
-    lines = [f"{len(done.rows) - len(failed):,} of {counted(len(done.rows) + done.remaining, 'run')} done{known}"]
+    failed = [row for row in results.rows if row["status"] == FAILED]
+    known_part = f", {results.kept:,} of them known already" if results.kept else ""
+    lines = [
+        f"{len(results.rows) - len(failed):,} of {counted(len(results.rows) + results.remaining, 'run')} done{known_part}"
+    ]
     if failed:
         lines.append(f"{counted(len(failed), 'run')} failed, the first for: {shortened(str(failed[0]['error']), 400)}")
-    if done.remaining:
+    if results.remaining:
         lines.append(
-            f"{counted(done.remaining, 'run')} remain, for {done.gone}; start the same command again: what is done stays"
+            f"{counted(results.remaining, 'run')} remain, for {results.gone}; start the same command again: what is done stays"
         )
     return lines

@@ -22,22 +22,22 @@ from aridcal.jobs.fleet.run_record import Row, typed
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 
 THREE_NUMBERS = ("position_", "rotation_")
-"""How channels begin whose rows have three numbers."""
+"""Beginnings of the names of channels whose rows have three numbers."""
 
 
 @dataclass(frozen=True)
 class Drift:
-    """A constant that is another than it was.
+    """A change of a constant between the first and the last run of a robot.
 
     Attributes:
-        robot: Whose.
+        robot: Its name.
         name: Of the constant.
         unit: ``m`` or ``rad``.
-        first: Value and standard deviation at first.
-        last: The same of the last run.
+        first: Value and standard deviation of the first run.
+        last: Value and standard deviation of the last run.
         days: Between the two measurements.
-        times: By how many standard deviations of the difference.
-        beyond: Whether that is more than chance gives among so many.
+        times: The change, in standard deviations of the difference.
+        beyond: Whether the change is more than chance gives among so many constants.
     """
 
     robot: str
@@ -60,7 +60,7 @@ def drifting(rows: Sequence[Row]) -> tuple[list[Drift], int]:
         Every constant that was compared; and how many robots.
     """
     pairs = [pair for own in _by_robot(rows).values() if (pair := _first_and_last(own)) is not None]
-    found: list[tuple[float, Drift]] = []
+    by_chance: list[tuple[float, Drift]] = []
     for first, last in pairs:
         days = (typed(last)["measured"] - typed(first)["measured"]).total_seconds() / 86400.0
         before, after = identified(first), identified(last)
@@ -74,42 +74,42 @@ def drifting(rows: Sequence[Row]) -> tuple[list[Drift], int]:
                 times = abs(x2 - x1) / both
                 unit = str(before[name]["unit"])
                 chance = chance_of(times, freedom_of(first) + freedom_of(last))
-                found.append((chance, Drift(last["robot"], name, unit, (x1, s1), (x2, s2), days, times, False)))
-    limit = FALSE_ALARMS / max(len(found), 1)
-    ordered = sorted(found, key=lambda pair: (pair[0], -pair[1].times))
+                by_chance.append((chance, Drift(last["robot"], name, unit, (x1, s1), (x2, s2), days, times, False)))
+    limit = FALSE_ALARMS / max(len(by_chance), 1)
+    ordered = sorted(by_chance, key=lambda pair: (pair[0], -pair[1].times))
     return [replace(drift, beyond=chance < limit) for chance, drift in ordered], len(pairs)
 
 
 def chance_of(times: float, freedom: float) -> float:
-    """Chance that what does not move is so many standard deviations off, or more, either way.
+    """Chance that a constant which does not move is so many standard deviations off, or more, either way.
 
     Args:
-        times: How many.
-        freedom: Degrees of freedom that they are known with.
+        times: Number of standard deviations.
+        freedom: Degrees of freedom of the standard deviation.
     """
     return 2.0 * float(stdtr(freedom, -times))
 
 
 def freedom_of(row: Row) -> float:
-    """Degrees of freedom that a run's noise is known with, at the least: numbers of its fitted rows beyond what they told.
+    """Fewest degrees of freedom of a run's noise: numbers of its fitted rows less the identified constants.
 
     A target's position has three numbers, its rotation three more, which are not counted; all else may have one a row.
     """
     fitted = row["rows"] - max((found["rows"] for found in row["stages"]), default=0)
-    each = 3 if all(channel.startswith(THREE_NUMBERS) for channel in channels_of([row])) else 1
-    told = sum(constant["status"] == "identified" for constant in row["constants"])
-    return float(max(each * fitted - told, 1))
+    numbers_per_row = 3 if all(channel.startswith(THREE_NUMBERS) for channel in channels_of([row])) else 1
+    constants_told = sum(constant["status"] == "identified" for constant in row["constants"])
+    return float(max(numbers_per_row * fitted - constants_told, 1))
 
 
 def _by_robot(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Runs that came to a result, of each robot, in the order of their measurements; of one measurement the last run alone."""
-    found: dict[str, dict[str, Row]] = {}
+    """Runs with a result, by robot, in the order of their measurements; of one measurement the last run alone."""
+    runs: dict[str, dict[str, Row]] = {}
     for row in are_done(rows):
-        found.setdefault(row["robot"], {})[row["inputs"]] = row
-    return {name: sorted(own.values(), key=lambda row: typed(row)["measured"]) for name, own in found.items()}
+        runs.setdefault(row["robot"], {})[row["inputs"]] = row
+    return {name: sorted(of_robot.values(), key=lambda row: typed(row)["measured"]) for name, of_robot in runs.items()}
 
 
-def _first_and_last(own: Sequence[Row]) -> tuple[Row, Row] | None:
-    """The two runs to compare: those of the make that the robot has now, which told what is told now."""
-    alike = [row for row in own if (row["urdf"], *identified(row)) == (own[-1]["urdf"], *identified(own[-1]))]
+def _first_and_last(runs: Sequence[Row]) -> tuple[Row, Row] | None:
+    """The two runs to compare, of the robot's present make and with the constants that its last run identified."""
+    alike = [row for row in runs if (row["urdf"], *identified(row)) == (runs[-1]["urdf"], *identified(runs[-1]))]
     return (alike[0], alike[-1]) if len(alike) > 1 else None

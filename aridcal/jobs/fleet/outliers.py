@@ -23,17 +23,17 @@ from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_
 from aridcal.jobs.fleet.run_record import Row
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 
-FEWEST = 8
+FEWEST_ROBOTS = 8
 """Robots of one make below which none is set beside the others: of 7 the threshold for one number is beyond 15 s."""
 
 TO_SIGMA = 1.4826
 """Of the median of absolute deviations: 1 / 0.6745, for normal numbers."""
 
-DRAWS = 200_000
-"""Numbers at the least behind the tail of a quantile: 100 of the largest are beyond it, which knows it to some percent."""
+FEWEST_DRAWS = 200_000
+"""Fewest numbers behind the tail of a quantile: 100 of the largest are beyond it, which fixes it to some percent."""
 
-BEYOND = 20
-"""Draws that should be beyond a quantile; what would need more draws is extrapolated."""
+DRAWS_BEYOND = 20
+"""Draws that should be beyond a quantile; quantiles that would need more draws are extrapolated."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class StandsOut:
     """A number of a robot that is far from the others'.
 
     Attributes:
-        robot: Whose.
+        robot: Its name.
         what: ``final position_mm`` for instance, or the name of a constant.
         value: Of the robot.
         usual: Median of the others and itself.
         scatter: Robust standard deviation; of an error that of its logarithm.
         unit: Of the three; empty for an error, whose channel says it.
-        times: How many of those it is off.
-        threshold: From how many on a robot stands out.
+        times: Distance from the median, in standard deviations.
+        threshold: Distance beyond which a robot stands out, likewise.
     """
 
     robot: str
@@ -83,16 +83,16 @@ def standing_out(rows: Sequence[Row]) -> tuple[list[StandsOut], int]:
         What stands out; and how many numbers were compared.
     """
     numbers = [number for make in makes(rows) for number in _numbers(make)]
-    found = [out for number in numbers for out in _beyond(number, FALSE_ALARMS / len(numbers))]
-    return sorted(found, key=lambda out: -out.times / out.threshold), len(numbers)
+    outstanding = [out for number in numbers for out in _beyond(number, FALSE_ALARMS / len(numbers))]
+    return sorted(outstanding, key=lambda out: -out.times / out.threshold), len(numbers)
 
 
 def makes(rows: Sequence[Row]) -> list[list[Row]]:
-    """Robots of one URDF together, those that came to a result; no make of fewer than :data:`FEWEST`."""
-    found: dict[str, list[Row]] = {}
+    """Robots of one URDF together, those that came to a result; no make of fewer than :data:`FEWEST_ROBOTS`."""
+    by_urdf: dict[str, list[Row]] = {}
     for row in are_done(rows):
-        found.setdefault(row["urdf"], []).append(row)
-    return [make for make in found.values() if len(make) >= FEWEST]
+        by_urdf.setdefault(row["urdf"], []).append(row)
+    return [make for make in by_urdf.values() if len(make) >= FEWEST_ROBOTS]
 
 
 def _numbers(make: Sequence[Row]) -> Iterator[_Number]:
@@ -100,8 +100,8 @@ def _numbers(make: Sequence[Row]) -> Iterator[_Number]:
     for channel in channels_of(make):
         for stage in STAGES:
             values = np.array([error_of(row, stage, channel) for row in make])
-            there = values > 0.0
-            yield from _number(f"{stage} {channel}", "", make, there, np.log(np.where(there, values, 1.0)), None)
+            positive = values > 0.0
+            yield from _number(f"{stage} {channel}", "", make, positive, np.log(np.where(positive, values, 1.0)), None)
     gauges: dict[tuple[str, ...], list[Row]] = {}
     for row in make:
         gauges.setdefault(tuple(identified(row)), []).append(row)
@@ -109,7 +109,7 @@ def _numbers(make: Sequence[Row]) -> Iterator[_Number]:
         constants = [identified(row) for row in alike]
         for name in names:
             values, std = (
-                np.array([float(own[name][key]) for own in constants])  # type: ignore[arg-type]
+                np.array([float(of_robot[name][key]) for of_robot in constants])  # type: ignore[arg-type]
                 for key in ("value", "std")
             )
             unit = str(constants[0][name]["unit"])
@@ -117,23 +117,23 @@ def _numbers(make: Sequence[Row]) -> Iterator[_Number]:
 
 
 def _number(
-    what: str, unit: str, make: Sequence[Row], there: np.ndarray, values: np.ndarray, std: np.ndarray | None
+    what: str, unit: str, make: Sequence[Row], present: np.ndarray, values: np.ndarray, std: np.ndarray | None
 ) -> Iterator[_Number]:
     """One number of those robots that have it, if they are enough."""
-    if there.sum() >= FEWEST:
-        robots = tuple(row["robot"] for row, has in zip(make, there, strict=True) if has)
-        own = np.zeros(int(there.sum())) if std is None else std[there]
-        yield _Number(what, unit, robots, values[there], own, std is None)
+    if present.sum() >= FEWEST_ROBOTS:
+        robots = tuple(row["robot"] for row, has in zip(make, present, strict=True) if has)
+        own_std = np.zeros(int(present.sum())) if std is None else std[present]
+        yield _Number(what, unit, robots, values[present], own_std, std is None)
 
 
 def _beyond(number: _Number, chance: float) -> Iterator[StandsOut]:
     """Robots that stand out by one number."""
     usual = float(np.median(number.values))
     scatter = TO_SIGMA * float(np.median(np.abs(number.values - usual)))
-    each = np.hypot(scatter, number.std)
+    sigma = np.hypot(scatter, number.std)
     threshold = quantile_of_largest(len(number.values), chance)
-    away = np.abs(number.values - usual)
-    times = np.divide(away, each, out=np.where(away > 0, np.inf, 0.0), where=each > 0)
+    distance = np.abs(number.values - usual)
+    times = np.divide(distance, sigma, out=np.where(distance > 0, np.inf, 0.0), where=sigma > 0)
     for k in np.flatnonzero(times > threshold).tolist():
         value, middle = float(number.values[k]), usual
         if number.logarithmic:
@@ -153,18 +153,18 @@ def quantile_of_largest(n: int, chance: float) -> float:
         chance: Of exceeding it.
     """
     largest = _largest(n)
-    if chance * len(largest) >= BEYOND:
+    if chance * len(largest) >= DRAWS_BEYOND:
         return float(np.quantile(largest, 1.0 - chance))
-    at = [10.0 * BEYOND / len(largest), BEYOND / len(largest)]
-    low, high = (float(np.log(np.quantile(largest, 1.0 - p))) for p in at)
-    slope = (high - low) / np.log(at[0] / at[1])
-    return float(np.exp(high + slope * np.log(at[1] / chance)))
+    chances = [10.0 * DRAWS_BEYOND / len(largest), DRAWS_BEYOND / len(largest)]
+    low, high = (float(np.log(np.quantile(largest, 1.0 - p))) for p in chances)
+    slope = (high - low) / np.log(chances[0] / chances[1])
+    return float(np.exp(high + slope * np.log(chances[1] / chance)))
 
 
 @functools.lru_cache(maxsize=64)
 def _largest(n: int) -> np.ndarray:
     """Largest z of n normal numbers, of many draws, shape (D,)."""
-    draws = max(DRAWS // n, 2000)
+    draws = max(FEWEST_DRAWS // n, 2000)
     x = np.random.default_rng(n).standard_normal((draws, n))
-    away = np.abs(x - np.median(x, axis=1, keepdims=True))
-    return np.asarray(away.max(axis=1) / (TO_SIGMA * np.median(away, axis=1)))
+    distance = np.abs(x - np.median(x, axis=1, keepdims=True))
+    return np.asarray(distance.max(axis=1) / (TO_SIGMA * np.median(distance, axis=1)))

@@ -23,15 +23,15 @@ SAVE_EVERY = 60.0
 
 @dataclass(frozen=True)
 class Ran:
-    """What became of a fleet.
+    """Results of a fleet.
 
     Attributes:
-        rows: All of its table, earlier runs too, the oldest first.
-        now: The last row of each robot asked for; of those that remain the one before, if there is one.
-        kept: Robots that were there already.
-        failed: Robots that failed, with why.
+        rows: All rows of its table, earlier runs too, the oldest first.
+        now: The last row of each robot of the fleet; of robots that remain the row before, if there is one.
+        kept: Robots whose result was there already.
+        failed: Robots that failed, with the reason.
         remaining: Robots that were not computed.
-        gone: Why not; empty if all were.
+        gone: Why some robots remain; empty if none does.
     """
 
     rows: tuple[Row, ...]
@@ -44,14 +44,14 @@ class Ran:
 
 @dataclass(frozen=True)
 class Planned:
-    """What is to be done for a fleet.
+    """The work that a fleet needs.
 
     Attributes:
         fleet: Its robots.
         out: Its folder.
-        rows: Of its table, with what killed runs have left.
+        rows: Of its table, with those that killed runs left in their folders.
         known: Rows of robots that need not be computed, or cannot be.
-        tasks: The others, by their names on a cluster.
+        tasks: Of the other robots, by their names on a cluster.
         inputs: Of every robot.
     """
 
@@ -73,27 +73,27 @@ def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress
         progress: Told how far it is.
 
     Raises:
-        OutputError: what stands in the table's place is none.
+        OutputError: the file in the table's place is no table.
     """
     progress("looking at what is there")
-    rows = merged(read_rows(out), _taken_up(out))
-    known: dict[str, Row] = {}
+    rows = merged(read_rows(out), _rows_in_folders(out))
+    rows_known: dict[str, Row] = {}
     tasks: dict[str, Task] = {}
-    asked: dict[str, Inputs] = {}
+    inputs_of_robot: dict[str, Inputs] = {}
     for member in progress.over(fleet, "robots"):
         folder = out.absolute() / member.name
-        inputs, campaign, why = inputs_at(member.campaign)
-        asked[member.name] = inputs
-        there = row_in(folder)
+        inputs, campaign, reason = inputs_at(member.campaign)
+        inputs_of_robot[member.name] = inputs
+        row = row_in(folder)
         if campaign is None:
-            known[member.name] = failed_row(member.name, member.campaign, inputs, why, 0.0, None)
-        elif there is not None and there["key"] == inputs.key:
-            known[member.name] = there
+            rows_known[member.name] = failed_row(member.name, member.campaign, inputs, reason, 0.0, None)
+        elif row is not None and row["key"] == inputs.key:
+            rows_known[member.name] = row
         else:
             tasks[task_name(member.name, folder, inputs.key)] = Task(
                 member.name, str(member.campaign), str(folder), inputs.key, write
             )
-    return Planned(tuple(fleet), out, tuple(merged(rows, known.values())), known, tasks, asked)
+    return Planned(tuple(fleet), out, tuple(merged(rows, rows_known.values())), rows_known, tasks, inputs_of_robot)
 
 
 def computed(plan: Planned, engine: Engine, progress: Progress) -> Ran:
@@ -109,48 +109,48 @@ def computed(plan: Planned, engine: Engine, progress: Progress) -> Ran:
     Raises:
         OutputError: the table cannot be written.
     """
-    rows, done = list(plan.rows), dict(plan.known)
-    gone, saved = "", time.monotonic()
-    told = _Told(len(plan.tasks), progress)
+    rows, results = list(plan.rows), dict(plan.known)
+    reason, saved_at = "", time.monotonic()
+    report = _Report(len(plan.tasks), progress)
     write_rows(rows, plan.out)
     try:
         for name, answer in engine(calibrated, plan.tasks):
             robot, campaign = plan.tasks[name].robot, Path(plan.tasks[name].campaign)
             if isinstance(answer, Broken):
                 answer = failed_row(robot, campaign, plan.inputs[robot], answer.why, 0.0, None)
-            done[robot] = answer
+            results[robot] = answer
             rows = merged(rows, [answer])
-            told(answer)
-            if time.monotonic() - saved > SAVE_EVERY:
+            report(answer)
+            if time.monotonic() - saved_at > SAVE_EVERY:
                 write_rows(rows, plan.out)
-                saved = time.monotonic()
+                saved_at = time.monotonic()
     except EngineGone as problem:
-        gone = str(problem)
+        reason = str(problem)
     finally:
         write_rows(rows, plan.out)
     last = latest(rows)
     return Ran(
         rows=tuple(rows),
-        now={m.name: last[m.name] for m in plan.fleet if m.name in last} | done,
+        now={m.name: last[m.name] for m in plan.fleet if m.name in last} | results,
         kept=tuple(name for name, row in plan.known.items() if row["status"] == DONE),
-        failed={name: row["error"] for name, row in sorted(done.items()) if row["status"] == FAILED},
-        remaining=tuple(m.name for m in plan.fleet if m.name not in done),
-        gone=gone,
+        failed={name: row["error"] for name, row in sorted(results.items()) if row["status"] == FAILED},
+        remaining=tuple(m.name for m in plan.fleet if m.name not in results),
+        gone=reason,
     )
 
 
 def task_name(robot: str, folder: Path, key: str) -> str:
-    """What a task is called on a cluster: other fleets on it have other names for the same robot."""
+    """A task's name on a cluster: other fleets on it have other names for the same robot."""
     return f"aridcal-{hashlib.sha256(f'{robot} {folder} {key}'.encode()).hexdigest()}"
 
 
-def _taken_up(out: Path) -> list[Row]:
+def _rows_in_folders(out: Path) -> list[Row]:
     """Rows of all result folders in a fleet's: a run that was killed has not brought them into the table."""
     folders = sorted(path for path in out.iterdir() if path.is_dir()) if out.is_dir() else []
     return [row for row in map(row_in, folders) if row is not None]
 
 
-class _Told:
+class _Report:
     """Progress over the robots that are computed: done, failed, how much longer.
 
     Args:

@@ -30,13 +30,13 @@ from aridcal.system.progress import one_thread
 from aridcal.system.reading.regular_files import SETTINGS, read_file
 from aridcal.system.reading.table_files import FIRST_LINE
 
-NONE = 1e-9
+NO_EFFECT_SIZE = 1e-9
 """Times what a scenario states of an effect: none of it, but still drawn, so that nothing else is drawn otherwise."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What the runs of one place in the study have in common.
+    """A case of a study: the rows and the size of the effect that its runs share.
 
     Attributes:
         rows: Measured, or drawn; 0 for half of a campaign's.
@@ -53,10 +53,10 @@ class Trial:
 
     Attributes:
         path: Of the scenario or the campaign, absolute.
-        case: What is varied.
+        case: Rows and size.
         run: Its number; the same run of another case has the same seed, and so the same machine.
         seed: Of everything that is drawn.
-        key: Hash of what it depends on, and the version.
+        key: Hash of all inputs, and the version.
     """
 
     path: str
@@ -91,7 +91,7 @@ def _has_truth(path: Path) -> bool:
 
 
 def _check(job: Scenario | Campaign, study: StudySettings) -> None:
-    """Refuse what cannot be varied."""
+    """Refuse a study that cannot be made."""
     if isinstance(job, Campaign):
         if study.sizes or study.effect:
             raise CampaignError(
@@ -112,7 +112,7 @@ def _check(job: Scenario | Campaign, study: StudySettings) -> None:
 
 
 def varied(scenario: Scenario, study: StudySettings) -> int:
-    """Number of the true effect whose size is varied.
+    """Index of the true effect whose size is varied.
 
     Raises:
         CampaignError: there is none of that name, or several and none is named.
@@ -134,7 +134,7 @@ def varied(scenario: Scenario, study: StudySettings) -> int:
 
 
 def sought(job: Scenario | Campaign) -> str:
-    """What the runs of a study look for, in words; empty where that is nothing."""
+    """Effects that the runs of a study look for, in words; empty where there are none."""
     if not isinstance(job, Scenario) or not job.truth.effects:
         return ""
     study = job.study or StudySettings()
@@ -151,12 +151,12 @@ def trials(job: Scenario | Campaign) -> dict[str, Trial]:
     else:
         cases = [Case(0, math.nan)]
     inputs = _inputs(job)
-    found: dict[str, Trial] = {}
+    by_key: dict[str, Trial] = {}
     for run, seed in enumerate(_seeds(study)):
         for case in cases:
             key = of_version(hashlib.sha256(f"{inputs} {case} {seed}".encode()).hexdigest())
-            found[key] = Trial(str(job.path.absolute()), case, run, seed, key)
-    return found
+            by_key[key] = Trial(str(job.path.absolute()), case, run, seed, key)
+    return by_key
 
 
 def _seeds(study: StudySettings) -> list[int]:
@@ -175,9 +175,9 @@ def _inputs(job: Scenario | Campaign) -> str:
 def _campaign(scenario: Scenario, text: str = "") -> Campaign:
     """The campaign in a scenario, without its tables."""
     keys = {name: getattr(scenario, name) for name in Job.model_fields if name != "study"}
-    made = Campaign.model_construct().model_copy(update=keys)
-    made._path, made._text = scenario.path, text
-    return made
+    campaign = Campaign.model_construct().model_copy(update=keys)
+    campaign._path, campaign._text = scenario.path, text
+    return campaign
 
 
 def tried(trial: Trial) -> Row:
@@ -193,14 +193,14 @@ def tried(trial: Trial) -> Row:
     with one_thread():
         try:
             job = load_study(Path(trial.path))
-            found = _simulated(job, trial) if isinstance(job, Scenario) else _halved(job, trial)
+            figures = _simulated(job, trial) if isinstance(job, Scenario) else _from_half(job, trial)
         except AridcalError as problem:
-            found = {"status": FAILED, "error": str(problem)}
-    return row | found | {"seconds": round(time.perf_counter() - started, 3)}
+            figures = {"status": FAILED, "error": str(problem)}
+    return row | figures | {"seconds": round(time.perf_counter() - started, 3)}
 
 
 def _simulated(scenario: Scenario, trial: Trial) -> Row:
-    """Simulate a machine, calibrate it, and set what was found beside the truth."""
+    """Simulate a machine, calibrate it, and compare the result with the truth."""
     study = scenario.study or StudySettings()
     effects = list(scenario.truth.effects)
     looked_for = effects
@@ -210,10 +210,10 @@ def _simulated(scenario: Scenario, trial: Trial) -> Row:
         looked_for = [effects[k]]
     changes = {"n": trial.case.rows, "seed": trial.seed, "effects": tuple(effects)}
     truth = scenario.truth.model_copy(update=changes)
-    made = simulate(_with(scenario, truth))
-    outcome = identify(_campaign(scenario).with_tables(made.tables))
-    true = _true_error(scenario, truth, outcome)
-    return _figures(outcome) | {"true_rms_mm": true} | _told(outcome, looked_for, effects)
+    simulation = simulate(_with(scenario, truth))
+    outcome = identify(_campaign(scenario).with_tables(simulation.tables))
+    true_error = _true_error(scenario, truth, outcome)
+    return _figures(outcome) | {"true_rms_mm": true_error} | _effects_found(outcome, looked_for, effects)
 
 
 def _with(scenario: Scenario, truth: Truth) -> Scenario:
@@ -221,8 +221,8 @@ def _with(scenario: Scenario, truth: Truth) -> Scenario:
 
 
 def _scaled(effect: TrueEffect, size: float) -> TrueEffect:
-    """An effect so many times as large."""
-    size = max(size, NONE)
+    """An effect ``size`` times as large."""
+    size = max(size, NO_EFFECT_SIZE)
     times = tuple(c.model_copy(update={"value": size * c.value, "std": size * c.std}) for c in effect.coefficients)
     return effect.model_copy(update={"coefficients": times})
 
@@ -247,10 +247,10 @@ def _positions(simulation: Simulation, scenario: Scenario) -> np.ndarray:
     return simulation.measurements[names].to_numpy(dtype=float)
 
 
-def _halved(campaign: Campaign, trial: Trial) -> Row:
+def _from_half(campaign: Campaign, trial: Trial) -> Row:
     """Calibrate from a random half of the configurations that are fitted; all held-out rows judge."""
     outcome = identify(campaign, choose=half(trial.seed))
-    return _figures(outcome) | {"true_rms_mm": None} | _told(outcome, (), ())
+    return _figures(outcome) | {"true_rms_mm": None} | _effects_found(outcome, (), ())
 
 
 def half(seed: int) -> Callable[[Dataset], Dataset]:
@@ -263,9 +263,9 @@ def half(seed: int) -> Callable[[Dataset], Dataset]:
     """
 
     def choose(rows: Dataset) -> Dataset:
-        fitted = np.unique(rows.repeats.configuration[rows.train])
-        kept = np.random.default_rng(seed).permutation(fitted)[: (len(fitted) + 1) // 2]
-        return rows.select(rows.test | np.isin(rows.repeats.configuration, kept))
+        configurations = np.unique(rows.repeats.configuration[rows.train])
+        chosen = np.random.default_rng(seed).permutation(configurations)[: (len(configurations) + 1) // 2]
+        return rows.select(rows.test | np.isin(rows.repeats.configuration, chosen))
 
     return choose
 
@@ -289,17 +289,17 @@ def _figures(outcome: Outcome) -> Row:
     }
 
 
-def _told(outcome: Outcome, sought: Sequence[TrueEffect], true: Sequence[TrueEffect]) -> Row:
-    """Whether what was sought was found by name, or at least among what is confounded with what was found; and what was false."""
+def _effects_found(outcome: Outcome, sought: Sequence[TrueEffect], true: Sequence[TrueEffect]) -> Row:
+    """Whether the sought effects were named, or at least confounded with named ones; and the number of false ones."""
     accepted = [named for named in outcome.effects if not named.declared]
     names = [{(named.effect.kind, named.effect.where)} for named in accepted]
     alike = [{(e.kind, e.where) for e in named.confounded_with} for named in accepted]
-    really = {(effect.kind, effect.where) for effect in true}
-    asked = {(effect.kind, effect.where) for effect in sought}
-    by_name = asked <= set().union(*names)
+    true_effects = {(effect.kind, effect.where) for effect in true}
+    sought_effects = {(effect.kind, effect.where) for effect in sought}
+    by_name = sought_effects <= set().union(*names)
     return {
-        "named": by_name if asked else None,
-        "found": asked <= set().union(*names, *alike) if asked else None,
-        "others": sum(not (own | other) & really for own, other in zip(names, alike, strict=True)),
+        "named": by_name if sought_effects else None,
+        "found": sought_effects <= set().union(*names, *alike) if sought_effects else None,
+        "others": sum(not (of_name | other) & true_effects for of_name, other in zip(names, alike, strict=True)),
         "effects": [named.effect.label for named in accepted],
     }

@@ -34,7 +34,7 @@ SMALL_ASPECT, CENTRE_ASPECT = 1.4, (1.45, 2.8)
 
 # Area over that of the rectangle with the same second moments: 1 for a rectangle, less for what is hollow or
 # ragged.
-FILLED = (0.85, 1.15)
+FILLED_SHARES = (0.85, 1.15)
 
 # [grey levels], and as many standard deviations of the smoothed noise: fewer would turn noise into blobs.
 MIN_CONTRAST = 8.0
@@ -52,7 +52,7 @@ NOISE_PER_MEDIAN = 0.95
 LEAST_VARIANCE = 0.1
 
 # [grey levels] from which a place may be bright for any reason.
-WASHED_OUT = 250
+WASHED_OUT_GREY = 250
 
 # Of the right size: more of them are texture, and matching them takes long.
 MAX_BLOBS = 60
@@ -73,7 +73,7 @@ class Blobs(NamedTuple):
     Attributes:
         pixels: Centroids, shape (B, 2).
         places: The same on the plane as x + i y, shape (B,), [m]: the optical axis meets the plane at 0, x to the right.
-        is_centre: Which have the size and shape of a centre fiducial, shape (B,).
+        is_centre: True of blobs with the size and shape of a centre fiducial, shape (B,).
         angles: Of the long side on the plane, shape (B,), [rad], modulo pi.
     """
 
@@ -120,7 +120,7 @@ def find_blobs(smoothed: np.ndarray, dark: bool, intrinsics: np.ndarray, plane: 
 
 
 def _hat(smoothed: np.ndarray, dark: bool, scale: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return by how much each pixel stands out from all that is too wide for a mark, and the most nearby, uint8.
+    """Height of each pixel above all that is too wide for a mark, and the largest nearby, uint8.
 
     Morphology's black hat (closing minus image) for dark marks, its white hat (image minus opening) for bright ones, with a
     square window (Serra, "Image Analysis and Mathematical Morphology", 1982).
@@ -153,8 +153,8 @@ def _outlines(marks: np.ndarray, scale: float) -> list[np.ndarray]:
     largest = CENTRE_AREA * scale**2 * LENGTH_TOLERANCE
     # Outlines in pixels: a square's is 4 sides long, half of that for one cut up; twice that for one that is ragged.
     shortest, longest = 2 * np.sqrt(smallest), 8 * np.sqrt(largest)
-    found, _ = cv2.findContours(marks.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    right_length = [o for o in found if shortest < len(o) < longest]
+    contours, _ = cv2.findContours(marks.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    right_length = [o for o in contours if shortest < len(o) < longest]
     return [o for o in right_length if not _at_border(o, marks)]
 
 
@@ -201,7 +201,7 @@ def _kinds(rectangles: _Rectangles, area: np.ndarray) -> tuple[np.ndarray, np.nd
     aspect = rectangles.long / rectangles.short
     around = rectangles.short * rectangles.long
     filled = rectangles.area / around
-    solid = (filled > FILLED[0]) & (filled < FILLED[1])
+    solid = (filled > FILLED_SHARES[0]) & (filled < FILLED_SHARES[1])
     large = (area > BETWEEN_AREAS) & (area < CENTRE_AREA * AREA_TOLERANCE)
     slender = (aspect > CENTRE_ASPECT[0]) & (aspect < CENTRE_ASPECT[1])
     little = (area > SMALL_AREA / AREA_TOLERANCE) & (area < SMALL_AREA * AREA_TOLERANCE)
@@ -210,7 +210,12 @@ def _kinds(rectangles: _Rectangles, area: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def is_blank(
-    smoothed: np.ndarray, intrinsics: np.ndarray, plane: Plane, known: np.ndarray, places: np.ndarray, turn: complex
+    smoothed: np.ndarray,
+    intrinsics: np.ndarray,
+    plane: Plane,
+    seen_places: np.ndarray,
+    places: np.ndarray,
+    turn: complex,
 ) -> np.ndarray:
     """Tell at which places on the plane there plainly is bare paper where a small fiducial should be.
 
@@ -218,7 +223,7 @@ def is_blank(
         smoothed: From ``smooth``, shape (height, width).
         intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
         plane: What the sonars say.
-        known: Where small fiducials of the same square are seen, as in ``Blobs``, shape (K,), [m].
+        seen_places: Where small fiducials of the same square are seen, as in ``Blobs``, shape (K,), [m].
         places: Where there should be more of them, shape (M,), [m].
         turn: Of the square on the plane, of modulus 1.
 
@@ -226,19 +231,19 @@ def is_blank(
         Shape (M,); False where the place is not wholly in view, is covered by something that is not like the paper around the
         nearest known fiducial, or may be washed out.
     """
-    n = len(known)
+    n = len(seen_places)
     if n == 0:
         return np.zeros(len(places), dtype=bool)
-    grey, in_view = _spots(smoothed, intrinsics, plane, np.concatenate([known, places]), turn)
-    seen, there = grey[:n], grey[n:]
+    grey, in_view = _spots(smoothed, intrinsics, plane, np.concatenate([seen_places, places]), turn)
+    seen_grey, grey_expected = grey[:n], grey[n:]
     inside = np.zeros((SPOT_POINTS - 2, SPOT_POINTS - 2), dtype=bool)
     rim = np.pad(inside, 1, constant_values=True).ravel()
-    paper = np.median(seen[:, rim], axis=1)
-    contrast = np.abs(seen[:, SPOT_POINTS**2 // 2] - paper)
-    nearest = np.argmin(np.abs(places[:, None] - known), axis=1)
-    usual = np.minimum(contrast[nearest], np.median(contrast))[:, None]
-    like_paper = np.abs(there - paper[nearest, None]) < LIKE_PAPER * usual
-    washed_out = (there > WASHED_OUT) & np.any(paper < WASHED_OUT)
+    paper = np.median(seen_grey[:, rim], axis=1)
+    contrast = np.abs(seen_grey[:, SPOT_POINTS**2 // 2] - paper)
+    nearest = np.argmin(np.abs(places[:, None] - seen_places), axis=1)
+    contrast_nearby = np.minimum(contrast[nearest], np.median(contrast))[:, None]
+    like_paper = np.abs(grey_expected - paper[nearest, None]) < LIKE_PAPER * contrast_nearby
+    washed_out = (grey_expected > WASHED_OUT_GREY) & np.any(paper < WASHED_OUT_GREY)
     return in_view[n:] & np.all(like_paper & ~washed_out, axis=1)
 
 

@@ -83,15 +83,15 @@ def find_charuco(image: np.ndarray, board: Board, index: int, intrinsics: np.nda
     detector = cv2.aruco.CharucoDetector(board.opencv())
     corners, ids, _, _ = detector.detectBoard(image)
     if ids is None or len(ids) < MIN_CORNERS:
-        seen = 0 if ids is None else len(ids)
-        raise NotMeasured(f"only {seen} corners of the board are seen: {MIN_CORNERS} are needed")
+        count_seen = 0 if ids is None else len(ids)
+        raise NotMeasured(f"only {count_seen} corners of the board are seen: {MIN_CORNERS} are needed")
     ids, pixels = ids.ravel(), corners.reshape(-1, 2).astype(float)
     points = corner_places(board)[ids]
     if not spans_plane(points):
         raise NotMeasured("the corners that are seen lie on one line")
     normalised = rays(pixels, intrinsics)
-    done, turn, shift = cv2.solvePnP(points, normalised, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    if not done:
+    success, turn, shift = cv2.solvePnP(points, normalised, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    if not success:
         raise NotMeasured("the board's corners fit no pose")
     T = np.eye(4)
     T[:3, :3], _ = cv2.Rodrigues(turn)

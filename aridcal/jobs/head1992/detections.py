@@ -67,7 +67,7 @@ def read_shots(
         seed: Of the split into train and test.
         progress: Called with what is being done.
         lens: Intrinsics, shape (9,), to look for fiducials with in all images that are there, in place of the declared
-            ones; what is found is set beside the head as declared all the same.
+            ones; the rows still refer to the head as declared.
 
     Raises:
         AridcalError: A file is wrong, or nothing could be measured.
@@ -80,26 +80,28 @@ def read_shots(
     lines = rows.origin.line.tolist()
     usable = set(lines)
     by_line = {shot.line: shot for shot in shots if shot.line in usable}
-    looking = settings if lens is None else _with_lens(settings, lens)
-    known = _Known(_cached(cache), _digests(list(by_line.values()), settings, squares), again=lens is not None)
-    found, refused = _fiducials(list(by_line.values()), looking, squares, known, progress)
-    seen: dict[int, HeadShot] = {}
+    search_settings = settings if lens is None else _with_lens(settings, lens)
+    cache_lines = _Cache(_cached(cache), _digests(list(by_line.values()), settings, squares), again=lens is not None)
+    fiducials_of, refused = _fiducials(list(by_line.values()), search_settings, squares, cache_lines, progress)
+    head_shots: dict[int, HeadShot] = {}
     for line in lines:
         if line in refused:
             continue
         try:
-            seen[line] = _seen(by_line[line], found[line], looking, squares)
+            head_shots[line] = _head_shot(by_line[line], fiducials_of[line], search_settings, squares)
         except (NotMeasured, ValueError) as refusal:
             refused[line] = str(refusal)
-    if not seen:
+    if not head_shots:
         line, why = next(iter(refused.items()))
         raise AridcalError(f"{settings.shots}: nothing could be measured. First: line {line}: {why}")
     remarks = [Remark(settings.shots.name, line, "image", by_line[line].image, why) for line, why in refused.items()]
-    every = sorted((*rows.origin.refused, *remarks), key=lambda remark: remark.row or 0)
-    kept = rows.select(np.isin(rows.origin.line, list(seen)))
-    rows = shot_rows(kept.with_origin(refused=tuple(every)), list(seen.values()), head_of(settings), campaign)
-    fiducials = pd.concat([found[line] for line in seen], ignore_index=True)
-    images = sum(known.lines(line) is None for line in found)
+    remarks_all = sorted((*rows.origin.refused, *remarks), key=lambda remark: remark.row or 0)
+    measured_rows = rows.select(np.isin(rows.origin.line, list(head_shots)))
+    rows = shot_rows(
+        measured_rows.with_origin(refused=tuple(remarks_all)), list(head_shots.values()), head_of(settings), campaign
+    )
+    fiducials = pd.concat([fiducials_of[line] for line in head_shots], ignore_index=True)
+    images = sum(cache_lines.lines(line) is None for line in fiducials_of)
     camera = settings.camera
     size = camera.width, camera.height
     return Read(
@@ -110,19 +112,19 @@ def read_shots(
 
 
 def _with_lens(settings: HeadSettings, lens: np.ndarray) -> HeadSettings:
-    """The same head with other intrinsics, shape (9,)."""
+    """The head's settings with other intrinsics, shape (9,)."""
     fx, fy, cx, cy, *distortion = lens.tolist()
     changes = {"fx": fx, "fy": fy, "cx": cx, "cy": cy, "distortion": tuple(distortion)}
     return settings.model_copy(update={"camera": settings.camera.model_copy(update=changes)})
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What an earlier run has found.
+class _Cache:
+    """Fiducials that an earlier run detected.
 
     Attributes:
-        cache: Its lines by the line of their shot.
-        digests: Of the shots as they are now.
+        cache: Lines of ``fiducials.csv``, by the line of their shot.
+        digests: Of the shots as they are now, by line.
         again: True where fiducials are looked for again, in all images that are there.
     """
 
@@ -138,42 +140,42 @@ class _Known:
         return lines
 
 
-def shot_rows(rows: Dataset, seen: Sequence[HeadShot], head: Head, campaign: Campaign) -> Dataset:
+def shot_rows(rows: Dataset, shots: Sequence[HeadShot], head: Head, campaign: Campaign) -> Dataset:
     """Shots as rows of measurements.
 
     Args:
         rows: Joints, covariates and split of N shots.
-        seen: What was found in each.
+        shots: What was found in each.
         head: As head.yaml declares it.
         campaign: Says what is known of the noise.
     """
     n, (settings,) = len(rows), campaign.blocks
-    stated = 1.0 if settings.noise.rows == "absolute" else None
-    block = Block(settings.title, settings.kind, channels(head), (*rows.sigma[:2], stated), settings.noise.rows)
-    made = replace(
+    sigma = 1.0 if settings.noise.rows == "absolute" else None
+    block = Block(settings.title, settings.kind, channels(head), (*rows.sigma[:2], sigma), settings.noise.rows)
+    dataset = replace(
         rows,
         blocks=(block,),
-        observed=packed(seen, head),
+        observed=packed(shots, head),
         labels=replace(rows.labels, block=np.zeros(n, dtype=int), refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1))),
         instruments=head_things(head),
     )
-    return with_stated_noise(made, {HEAD: head.state[None]})
+    return with_stated_noise(dataset, {HEAD: head.state[None]})
 
 
 def head_things(head: Head) -> Instruments:
-    """A head as a thing that rows refer to: taken as declared, but for what effects of it say."""
+    """The head as a thing that rows refer to, held as declared: effects alone change it."""
     held = np.zeros((1, len(head.phi)), dtype=bool)
     things = Things(head.role, (HEAD,), head.state[None], held, np.full(held.shape, np.inf))
     return Instruments({HEAD: things}, world=True)
 
 
 def _with_head(campaign: Campaign, settings: HeadSettings, table: Table) -> Campaign:
-    """Put the target at the camera: ``tip_target`` is T_tip_camera, and what head.yaml says of it is a hint.
+    """The campaign with the target at the camera: ``tip_target`` is T_tip_camera, with head.yaml's value as a hint.
 
     Columns that describe shots are no covariates.
     """
-    own = [name for name in ("image", "square", "shot", *range_columns(settings)) if name in table.names]
-    ignore = dict.fromkeys((*campaign.measurements.ignore, *own))
+    shot_columns = [name for name in ("image", "square", "shot", *range_columns(settings)) if name in table.names]
+    ignore = dict.fromkeys((*campaign.measurements.ignore, *shot_columns))
     measurements = campaign.measurements.model_copy(update={"ignore": tuple(ignore)})
     mount = FrameSettings(xyz=settings.tip_camera.xyz, rpy=settings.tip_camera.rpy)
     frames = campaign.frames.model_copy(update={"tip_target": mount})
@@ -184,26 +186,26 @@ def _fiducials(
     shots: Sequence[Shot],
     settings: HeadSettings,
     squares: Mapping[int, np.ndarray],
-    known: _Known,
+    cached: _Cache,
     progress: Progress,
 ) -> tuple[dict[int, pd.DataFrame], dict[int, str]]:
-    """Give the fiducials of each shot, and why the others have none.
+    """The fiducials of each shot, and the reasons of shots without any.
 
     Returns:
         Lines of the cache (M, 8) by the line of their shot; refusals likewise.
     """
-    found = {shot.line: lines for shot in shots if (lines := known.lines(shot.line)) is not None}
-    todo = [shot for shot in shots if shot.line not in found]
+    lines_of = {shot.line: lines for shot in shots if (lines := cached.lines(shot.line)) is not None}
+    unread = [shot for shot in shots if shot.line not in lines_of]
     refused: dict[int, str] = {}
-    if todo:
-        progress(f"reading {len(todo)} images")
-    for measured in progress.through(measure_shots(todo, settings, squares), len(todo), "images"):
+    if unread:
+        progress(f"reading {len(unread)} images")
+    for measured in progress.through(measure_shots(unread, settings, squares), len(unread), "images"):
         line = measured.shot.line
         if measured.fiducials is None:
             refused[line] = measured.why
         else:
-            found[line] = _lines(line, measured.fiducials).assign(digest=known.digests[line])
-    return found, refused
+            lines_of[line] = _lines(line, measured.fiducials).assign(digest=cached.digests[line])
+    return lines_of, refused
 
 
 def _lines(shot: int, fiducials: Fiducials) -> pd.DataFrame:
@@ -221,14 +223,14 @@ def _lines(shot: int, fiducials: Fiducials) -> pd.DataFrame:
 
 
 def _digests(shots: Sequence[Shot], settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> dict[int, str]:
-    """Say in short what the fiducials of each shot depend on, by its line."""
+    """Digests of all that the fiducials of each shot depend on, by its line."""
     places = sorted((index, T.tobytes()) for index, T in squares.items())
     about = repr((settings.camera, settings.sonars, settings.target, places))
     return {shot.line: _digest(shot, settings, about) for shot in shots}
 
 
 def _digest(shot: Shot, settings: HeadSettings, about: str) -> str:
-    """Say in short what the fiducials of a shot depend on; empty if its image is not there to ask."""
+    """Digest of all that the fiducials of a shot depend on; empty if its image is missing."""
     try:
         content = image_content(shot.image, settings)
     except NotMeasured:
@@ -251,37 +253,37 @@ def _cached(cache: Path | None) -> dict[int, pd.DataFrame]:
         return {}
     lines = lines.astype(dict.fromkeys(INDEX_COLUMNS, int))
     lines["digest"] = table.texts("digest")
-    by_shot = (own.reset_index(drop=True) for _, own in lines.groupby("shot", sort=False))
-    return {int(own["shot"].iloc[0]): own for own in by_shot}
+    by_shot = (shot_lines.reset_index(drop=True) for _, shot_lines in lines.groupby("shot", sort=False))
+    return {int(shot_lines["shot"].iloc[0]): shot_lines for shot_lines in by_shot}
 
 
-def _seen(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> HeadShot:
-    """Give fiducials their places on the square that is listed first, and try that they fit a pose.
+def _head_shot(shot: Shot, lines: pd.DataFrame, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> HeadShot:
+    """A shot with its fiducials' places on the square that is listed first, checked to fit a pose.
 
     Raises:
         NotMeasured: They do not, or a range is wrong.
         ValueError: Likewise.
     """
     sonars = read_ranges(shot.ranges, settings)
-    own = int(lines["square"].iloc[0])
-    points = _places(lines, own, settings, squares)
+    index = int(lines["square"].iloc[0])
+    points = _places(lines, index, settings, squares)
     if not spans_plane(points):
         raise NotMeasured("three fiducials that are not on one line are needed")
     pixels = lines[["u", "v"]].to_numpy()
     sigma = lines[["std_u", "std_v"]].to_numpy()
     start = start_anywhere(points, pixels, sonars, settings.camera.intrinsics)
     covariances = sigma[:, :, None] ** 2 * np.eye(2)
-    seen = HeadShot(points, pixels, covariances, shot.ranges, squares[own], start)
-    check_pose(seen, head_of(settings))
-    return seen
+    head_shot = HeadShot(points, pixels, covariances, shot.ranges, squares[index], start)
+    check_pose(head_shot, head_of(settings))
+    return head_shot
 
 
-def _places(lines: pd.DataFrame, own: int, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> np.ndarray:
+def _places(lines: pd.DataFrame, index: int, settings: HeadSettings, squares: Mapping[int, np.ndarray]) -> np.ndarray:
     """Return the places of fiducials, or of a board's corners, in the frame of one square, shape (M, 3), [m]."""
     number = lines["fiducial"].to_numpy()
     if settings.target == "charuco":
         return corner_places(board(settings))[number]
-    T_own_world = np.linalg.inv(squares[own])
+    T_own_world = np.linalg.inv(squares[index])
     T_own_square = np.array([T_own_world @ squares[int(k)] for k in lines["square"]])
     xy_axes, origin = T_own_square[:, :3, :2], T_own_square[:, :3, 3]
     return np.asarray(np.einsum("nij,nj->ni", xy_axes, CENTRES[number - 1]) + origin)

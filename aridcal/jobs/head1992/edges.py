@@ -36,10 +36,10 @@ GROSS_CUT = (
     5.0,
 )  # share of the contrast, and [grey levels], that a residual may have while edges may be a pixel off
 LEAST_CUT = 0.1, 0.01  # share of the contrast that is never cut off, before a fit has settled and after
-NOISIER = 1.3  # times the usual noise: only then a fiducial's own is believed, which it knows to some 10 %
+NOISIER_RATIO = 1.3  # times the usual noise: only then a fiducial's own is believed, which it knows to some 10 %
 
 # Steps and their end.
-RIM = 1.5  # [px] to either side of an outline: its edge
+RIM_WIDTH = 1.5  # [px] to either side of an outline: its edge
 MAX_STEPS = 8
 STILL, MOST = 0.4, 0.75  # a fit is done when its last step was below so many sigma for most of the fiducials
 START_BLUR = 0.7  # [px] of a lens in focus
@@ -147,9 +147,9 @@ def _fits(
 ) -> Fits:
     """Turn the inverse of the last step's equations, (F, 12, 12), into covariances: noise² TUKEY_VARIANCE inverse."""
     usual = float(np.median(noise))
-    sigma = np.where(noise < NOISIER * usual, usual, noise)
+    sigma = np.where(noise < NOISIER_RATIO * usual, usual, noise)
     covariance = inverse * (TUKEY_VARIANCE * sigma[:, None, None] ** 2)
-    rim = np.abs(pixels.depth) < RIM
+    rim = np.abs(pixels.depth) < RIM_WIDTH
     edge_weight = pixels.total(np.where(rim, weights, 0)) / pixels.total(rim)
     dirt = 1 + DOUBT * np.maximum(0, CLEAN_EDGE - edge_weight)
     of_shape = np.einsum("fii->fi", covariance)[:, GROWTH : VARIANCE + 1]
@@ -221,11 +221,11 @@ def _noise(pixels: Pixels, r: np.ndarray, clipped: np.ndarray) -> np.ndarray:
     return SIGMA_PER_MAD * np.array(medians)
 
 
-def _cut(noise: np.ndarray, level: np.ndarray, gross: bool, settled: bool) -> np.ndarray:
+def _cut(noise: np.ndarray, level: np.ndarray, gross: bool, started: bool) -> np.ndarray:
     """Choose the residuals from which pixels have no weight, shape (F,), from noise and size of the contrast (F,)."""
     if gross:
         return GROSS_CUT[0] * level + GROSS_CUT[1]
-    least = LEAST_CUT[1] if settled else LEAST_CUT[0]
+    least = LEAST_CUT[1] if started else LEAST_CUT[0]
     return np.maximum(TUKEY * noise, least * level + 1)
 
 

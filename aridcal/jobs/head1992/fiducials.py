@@ -33,10 +33,10 @@ ENOUGH_PAIRS = 4
 GROSS_STEPS = 2
 
 # [px] that a fiducial must be inside the image by: its edge is blurred.
-BORDER = 2.0
+BORDER_MARGIN = 2.0
 
 # Of outlines fitted again from the pose that they gave: the second one moves nothing that matters.
-ROUNDS = 2
+REFINING_ROUNDS = 2
 
 # Times that of the other fiducials, and a share of the contrast: with more, something is on the fiducial.
 MAX_NOISE, NOISE_SHARE = 2.2, 0.01
@@ -103,16 +103,16 @@ def find_fiducials(image: np.ndarray, layout: Layout, intrinsics: np.ndarray, so
     """
     plane = fit_plane(sonars.readings, sonars.positions, sonars.measures)
     sonars = replace(sonars, std=max(sonars.std, LOOSE_STD))
-    found = _identify(smooth(image), layout, intrinsics, plane)
+    matched = _identify(smooth(image), layout, intrinsics, plane)
     try:
-        T = _blob_pose(found, layout, intrinsics, sonars, plane)
-        return _refine(image, T, layout, intrinsics, sonars, found.dark)
+        T = _blob_pose(matched, layout, intrinsics, sonars, plane)
+        return _refine(image, T, layout, intrinsics, sonars, matched.dark)
     except ValueError as error:
         raise NotMeasured(str(error)) from None
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Matched:
     """Blobs of one polarity that are matched to fiducials; dark is black on white."""
 
     match: Match
@@ -120,7 +120,7 @@ class _Found:
     dark: bool
 
 
-def _identify(smoothed: np.ndarray, layout: Layout, intrinsics: np.ndarray, plane: Plane) -> _Found:
+def _identify(smoothed: np.ndarray, layout: Layout, intrinsics: np.ndarray, plane: Plane) -> _Matched:
     """Match blobs to fiducials, black on white first, then white on black; the polarity that explains more wins.
 
     Args:
@@ -133,25 +133,25 @@ def _identify(smoothed: np.ndarray, layout: Layout, intrinsics: np.ndarray, plan
         NotMeasured: Neither polarity shows a square.
     """
     blank = partial(is_blank, smoothed, intrinsics, plane)
-    found: list[_Found] = []
+    matches: list[_Matched] = []
     refusals: list[NotMeasured] = []
     for dark in (True, False):
         blobs = find_blobs(smoothed, dark, intrinsics, plane)
         try:
-            found.append(_Found(match(blobs, layout, blank), blobs, dark))
+            matches.append(_Matched(match(blobs, layout, blank), blobs, dark))
         except NotMeasured as refusal:
             refusals.append(refusal)
-        if found and len(found[0].match.pairs) >= ENOUGH_PAIRS:
+        if matches and len(matches[0].match.pairs) >= ENOUGH_PAIRS:
             break
-    if not found:  # the refusal that says more than that there are no marks
+    if not matches:  # the refusal that says more than that there are no marks
         raise max(refusals, key=lambda refusal: "no square" not in str(refusal))
-    return max(found, key=lambda candidate: len(candidate.match.pairs))
+    return max(matches, key=lambda candidate: len(candidate.match.pairs))
 
 
-def _blob_pose(found: _Found, layout: Layout, intrinsics: np.ndarray, sonars: Sonars, plane: Plane) -> np.ndarray:
+def _blob_pose(matched: _Matched, layout: Layout, intrinsics: np.ndarray, sonars: Sonars, plane: Plane) -> np.ndarray:
     """Measure T_camera_square, (4, 4), from the centroids of blobs: to some tenths of a pixel."""
-    mine, theirs = found.match.pairs.T
-    points, pixels = layout.centres[mine], found.blobs.pixels[theirs]
+    fiducial, blob = matched.match.pairs.T
+    points, pixels = layout.centres[fiducial], matched.blobs.pixels[blob]
     covariances = np.tile(BLOB_STD**2 * np.eye(2), (len(points), 1, 1))
     start = start_on_plane(points, pixels, plane, intrinsics)
     pose, _ = robust_pose(points, pixels, covariances, sonars, intrinsics, start)
@@ -176,7 +176,7 @@ def _refine(
     """
     height, width = image.shape
     shapes = predict_shapes(T, layout, intrinsics)
-    reach = shapes.half_extent + BORDER
+    reach = shapes.half_extent + BORDER_MARGIN
     in_view = (shapes.centres > reach) & (shapes.centres < [width - 1, height - 1] - reach)
     inside = np.all(in_view, axis=1)
     layout, shapes = layout[inside], shapes[inside]
@@ -184,7 +184,7 @@ def _refine(
     shift = np.max(np.abs(fits.shift), axis=1)
     half_size = np.min(shapes.half_extent, axis=1)
     good = _acceptable(fits, half_size, dark) & (shift < MAX_SHIFT + SHIFT_SHARE * half_size)
-    for _ in range(ROUNDS):
+    for _ in range(REFINING_ROUNDS):
         layout, fits = layout[good], fits[good]
         _check(layout)
         pose, used = robust_pose(layout.centres, fits.centres, fits.covariances, sonars, intrinsics, T)

@@ -102,14 +102,14 @@ class HeadSettings(Settings):
 
     @model_validator(mode="after")
     def _what_the_target_needs(self) -> HeadSettings:
-        given = [key for key in CHARUCO_KEYS if getattr(self, key) is not None]
+        charuco_keys = [key for key in CHARUCO_KEYS if getattr(self, key) is not None]
         if self.target == "arid_square":
-            if given:
-                raise ValueError(f"`{given[0]}` belongs to `target: charuco`")
+            if charuco_keys:
+                raise ValueError(f"`{charuco_keys[0]}` belongs to `target: charuco`")
             if self.sonars is None:
                 raise ValueError("add `sonars`: they tell how large the square's fiducials are in the image")
-        elif len(given) < len(CHARUCO_KEYS):
-            missing = ", ".join(key for key in CHARUCO_KEYS if key not in given)
+        elif len(charuco_keys) < len(CHARUCO_KEYS):
+            missing = ", ".join(key for key in CHARUCO_KEYS if key not in charuco_keys)
             raise ValueError(f"`target: charuco` also needs: {missing}")
         return self
 

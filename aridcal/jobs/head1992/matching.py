@@ -87,9 +87,9 @@ class Match:
 
 
 def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
-    """Find out which blobs are which fiducials.
+    """Match blobs to fiducials.
 
-    A proposal's score is the number of fiducials that it finds less what speaks against it, see ``_contradictions``.
+    A proposal's score is the number of fiducials that it finds less its contradictions, see ``_contradictions``.
 
     Args:
         blobs: Candidates.
@@ -97,7 +97,7 @@ def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
         blank: Where there plainly is no fiducial.
 
     Returns:
-        The proposal that explains most blobs, less what speaks against it.
+        The proposal with the highest score.
 
     Raises:
         NotMeasured: Too few blobs, two proposals are as good, or nothing tells how the square is turned.
@@ -124,7 +124,7 @@ def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
 
 
 def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout: Layout) -> list[Match]:
-    """Refine proposals of turn and shift; those that lead to one found before, or to too little, are left out."""
+    """Refined proposals of turn and shift, without those that lead to an earlier match or to too few pairs."""
     matches: list[Match] = []
     for turn, shift in proposals:
         if _among(turn, shift, matches):
@@ -138,15 +138,15 @@ def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout:
 
 
 def _contradictions(m: Match, blobs: Blobs, layout: Layout, blank: Blank) -> int:
-    """Count what speaks against a match: bare paper where fiducials should be, and more marks on the square than it has."""
-    mine, theirs = m.pairs.T
-    missed = np.setdiff1d(np.arange(len(layout)), mine)
-    should_be = m.turn * _places(layout)[missed] + m.shift
-    small = blobs.places[theirs][~layout.is_centre[mine]]
-    bare = blank(small, should_be, m.turn)
-    spare = (np.delete(blobs.places, theirs) - m.shift) / m.turn
+    """Number of contradictions of a match: bare paper where fiducials should be, and more marks on the square than it has."""
+    fiducials, matched_blobs = m.pairs.T
+    missing = np.setdiff1d(np.arange(len(layout)), fiducials)
+    expected = m.turn * _places(layout)[missing] + m.shift
+    small = blobs.places[matched_blobs][~layout.is_centre[fiducials]]
+    blank_places = blank(small, expected, m.turn)
+    spare = (np.delete(blobs.places, matched_blobs) - m.shift) / m.turn
     on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SIDE / 2
-    return int(bare.sum() + SPARE_MARK * on_square.sum())
+    return int(blank_places.sum() + SPARE_MARK * on_square.sum())
 
 
 def _places(layout: Layout) -> np.ndarray:
@@ -155,7 +155,7 @@ def _places(layout: Layout) -> np.ndarray:
 
 
 def _among(turn: complex, shift: complex, matches: list[Match]) -> bool:
-    """Tell whether a proposal is one of those found."""
+    """True of a proposal that is one of the matches."""
     return any(abs(turn - m.turn) < SAME_TURN and abs(shift - m.shift) < SAME_SHIFT for m in matches)
 
 
@@ -182,13 +182,13 @@ def _from_pairs(blobs: Blobs) -> list[tuple[complex, complex]]:
     """
     i, j = np.nonzero(~np.eye(len(blobs.places), dtype=bool))
     a, b = np.nonzero(~np.eye(N_FIDUCIALS, dtype=bool))
-    seen = blobs.places[j] - blobs.places[i]
-    known = _CENTRES[b] - _CENTRES[a]
-    too_long = np.abs(seen)[:, None] - np.abs(known)
+    blob_steps = blobs.places[j] - blobs.places[i]
+    model_steps = _CENTRES[b] - _CENTRES[a]
+    too_long = np.abs(blob_steps)[:, None] - np.abs(model_steps)
     p, q = np.nonzero(np.abs(too_long) < CLOSE)
     if len(p) > MAX_PAIRS:
         return []
-    turn = seen[p] / known[q]
+    turn = blob_steps[p] / model_steps[q]
     turn /= np.abs(turn)
     shift = blobs.places[i[p]] - turn * _CENTRES[a[q]]
     explained = _explained(turn, shift, blobs)
@@ -202,8 +202,8 @@ def _explained(turn: np.ndarray, shift: np.ndarray, blobs: Blobs) -> np.ndarray:
     places = turn[:, None] * _CENTRES + shift[:, None]
     distance = np.abs(places[..., None] - blobs.places)  # (K, 6, B)
     alike = ONE_SQUARE.is_centre[:, None] == blobs.is_centre
-    found = np.any((distance < CLOSE) & alike, axis=2)
-    return np.asarray(found.sum(axis=1))
+    explained = np.any((distance < CLOSE) & alike, axis=2)
+    return np.asarray(explained.sum(axis=1))
 
 
 def _first_of_each(turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -220,16 +220,16 @@ def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Mat
 
     The own square alone is matched first, by a rough turn; then all in view, twice, by the turn that this gives.
     """
-    here = _places(layout)
-    if not _nearest_the_axis(turn, shift, here[layout.is_centre], AXIS_TIE - 2 * NEAR):
+    centres = _places(layout)
+    if not _nearest_the_axis(turn, shift, centres[layout.is_centre], AXIS_TIE - 2 * NEAR):
         return None
-    own = layout[np.arange(N_FIDUCIALS)]
-    for part, tolerance in ((own, NEAR), (layout, CLOSE), (layout, CLOSE)):
+    own_square = layout[np.arange(N_FIDUCIALS)]
+    for part, tolerance in ((own_square, NEAR), (layout, CLOSE), (layout, CLOSE)):
         pairs = _pairs(turn, shift, part, blobs, tolerance)
         if len(pairs) < 2:
             return None
-        turn, shift = _rigid(here[pairs[:, 0]], blobs.places[pairs[:, 1]])
-    if not _nearest_the_axis(turn, shift, here[layout.is_centre], AXIS_TIE):
+        turn, shift = _rigid(centres[pairs[:, 0]], blobs.places[pairs[:, 1]])
+    if not _nearest_the_axis(turn, shift, centres[layout.is_centre], AXIS_TIE):
         return None
     return Match(turn, shift, pairs)
 
@@ -256,12 +256,12 @@ def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, toleranc
     places = turn * _places(layout) + shift
     distance = np.abs(places[:, None] - blobs.places)
     distance[~_alike(turn, layout, blobs)] = np.inf
-    every = np.arange(len(places))
+    all_places = np.arange(len(places))
     nearest = np.argmin(distance, axis=1)
-    mutual = np.argmin(distance, axis=0)[nearest] == every
-    close = distance[every, nearest] < tolerance
-    mine = np.flatnonzero(mutual & close)
-    return np.column_stack([mine, nearest[mine]])
+    mutual = np.argmin(distance, axis=0)[nearest] == all_places
+    close = distance[all_places, nearest] < tolerance
+    matched = np.flatnonzero(mutual & close)
+    return np.column_stack([matched, nearest[matched]])
 
 
 def _alike(turn: complex, layout: Layout, blobs: Blobs) -> np.ndarray:
@@ -273,11 +273,11 @@ def _alike(turn: complex, layout: Layout, blobs: Blobs) -> np.ndarray:
     return np.where(layout.is_centre[:, None], as_centre, ~blobs.is_centre)
 
 
-def _rigid(model: np.ndarray, seen: np.ndarray) -> tuple[complex, complex]:
+def _rigid(model: np.ndarray, places: np.ndarray) -> tuple[complex, complex]:
     """Fit seen = turn * model + shift by least squares: Kabsch in the plane, in one complex number."""
-    turn = np.vdot(model - model.mean(), seen - seen.mean())
+    turn = np.vdot(model - model.mean(), places - places.mean())
     turn = turn / abs(turn) if abs(turn) > 0 else 1.0 + 0j
-    return turn, seen.mean() - turn * model.mean()
+    return turn, places.mean() - turn * model.mean()
 
 
 def spans_plane(points: np.ndarray) -> bool:

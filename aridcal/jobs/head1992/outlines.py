@@ -34,10 +34,10 @@ PIXEL_VARIANCE = 1 / 12
 LEAST_VARIANCE = 0.01
 
 # [px] to an edge of the paper that is not near.
-FAR = 1e3
+FAR_DISTANCE = 1e3
 
 # Sigma outside an edge from which nothing of what lies beyond is seen: its share is 3e-5.
-UNSEEN = -4.0
+UNSEEN_FROM = -4.0
 
 
 @dataclass(frozen=True)
@@ -268,10 +268,10 @@ def share_beyond_paper(pixels: Pixels, shapes: Shapes, outline: np.ndarray) -> n
         c = shapes.inverse[:, :3, k].copy()  # pixels beyond the edge as a linear function of x and y
         c[:, 0] -= np.where(near, edge, 0)
         c *= (outwards / pitch)[:, None]
-        c[:, 0] -= np.where(near, 0, FAR)
+        c[:, 0] -= np.where(near, 0, FAR_DISTANCE)
         constant, by_x, by_y = pixels.spread(c)
         t = (constant + by_x * x + by_y * y) / sigma
-        seen = t > UNSEEN
+        seen = t > UNSEEN_FROM
         shares[k, seen], _ = _normal(t[seen])
     return shares
 

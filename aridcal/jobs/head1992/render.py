@@ -22,19 +22,19 @@ from aridcal.engine.instruments.camera_sonar import Head
 from aridcal.jobs.head1992.square import SIDE, fiducial_corners, index_corners, paper_corners
 
 # Of the JPEG files: its errors stay below the camera's noise.
-QUALITY = 90
+JPEG_QUALITY = 90
 
 # [m] Squares whose centres are this near the one looked at may be in view.
-AROUND = 4 * SIDE
+NEIGHBOUR_DISTANCE = 4 * SIDE
 
 # [m] from the lens to a square that can be in focus.
-NEAREST = 0.05
+LEAST_DISTANCE = 0.05
 
 # [px] to the image's border: a fiducial nearer to it may be cut off by the blur.
-MARGIN = 3.0
+VIEW_MARGIN = 3.0
 
 # [m] by which a square must be nearer the optical axis than the others: the detector is to have no doubt.
-CLEARLY_OWN = SIDE / 10
+OWN_SQUARE_LEAD = SIDE / 10
 
 # Of a shot: largest change of the light, a share; blur from and to, [px]; noise, [grey levels].
 LIGHT, BLUR, NOISE = 0.15, (0.5, 0.9), 1.5
@@ -65,7 +65,7 @@ class Glare(NamedTuple):
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything but the geometry that makes an image.
+    """All of an image but its geometry.
 
     Attributes:
         paper: Reflectance of the paper, 0 to 1 of the camera's full scale.
@@ -114,9 +114,9 @@ def coverage(polygons: np.ndarray, width: int, height: int) -> np.ndarray:
     right = np.where(column < 0, 1.0, 1.0 - (x - column))  # share of this pixel right of the piece
     cell = row * (width + 1) + np.maximum(column, 0)
     cells = (width + 1) * height
-    own = np.bincount(cell, rise * right, cells)
-    next_one = np.bincount(cell + 1, rise * (1 - right), cells + 1)[:cells]
-    sums = (own + next_one).reshape(height, width + 1)
+    this_pixel = np.bincount(cell, rise * right, cells)
+    next_pixel = np.bincount(cell + 1, rise * (1 - right), cells + 1)[:cells]
+    sums = (this_pixel + next_pixel).reshape(height, width + 1)
     return np.abs(np.cumsum(sums, axis=1)[:, :width])
 
 
@@ -173,13 +173,13 @@ def light_map(
         intrinsics: In the order of ``camera.INTRINSICS``, shape (9,).
         width: [px].
         height: [px].
-        scene: Everything else.
+        scene: All but the geometry.
     """
     fine = np.full((SUBPIXELS * height, SUBPIXELS * width), scene.surroundings, np.float32)
     papers, prints = [], []
     for index, T in T_camera_squares.items():
         papers.append(image_outlines(T, paper_corners()[None], intrinsics))
-        prints.append(image_outlines(T, _printed(index), intrinsics))
+        prints.append(image_outlines(T, _print_outlines(index), intrinsics))
     if T_camera_squares:
         _paint(fine, np.concatenate(papers), scene.paper)
         _paint(fine, np.concatenate(prints), scene.ink)
@@ -215,8 +215,8 @@ def render(
     image = light_map(T_camera_squares, intrinsics, width, height, scene)
     image += scene.noise * rng.standard_normal(image.shape)
     if scene.wrong_pixels > 0:
-        wrong = rng.random(image.shape) < scene.wrong_pixels
-        image[wrong] = rng.uniform(0, WHITE, np.count_nonzero(wrong))
+        spoilt = rng.random(image.shape) < scene.wrong_pixels
+        image[spoilt] = rng.uniform(0, WHITE, np.count_nonzero(spoilt))
     return np.clip(np.rint(image), 0, WHITE).astype(np.uint8)
 
 
@@ -233,8 +233,8 @@ def _paint(fine: np.ndarray, polygons: np.ndarray, reflectance: float) -> None:
         part += coverage(polygons - low, width, height) * (reflectance - part)
 
 
-def _printed(index: int) -> np.ndarray:
-    """Return all that is printed on a square, shape (M, 4, 2), [m]."""
+def _print_outlines(index: int) -> np.ndarray:
+    """Outlines of all that is printed on a square, shape (M, 4, 2), [m]."""
     return np.concatenate([fiducial_corners(), index_corners(index)])
 
 
@@ -252,10 +252,10 @@ class Optics:
     height: int
     squares: Mapping[int, np.ndarray]
 
-    def seen(self, T_world_camera: np.ndarray, own: int) -> dict[int, np.ndarray]:
+    def seen(self, T_world_camera: np.ndarray, square: int) -> dict[int, np.ndarray]:
         """T_camera_square of a square and of its neighbours, (4, 4)."""
-        middle = self.squares[own][:3, 3]
-        near = {k: T for k, T in self.squares.items() if np.linalg.norm(T[:3, 3] - middle) < AROUND}
+        middle = self.squares[square][:3, 3]
+        near = {k: T for k, T in self.squares.items() if np.linalg.norm(T[:3, 3] - middle) < NEIGHBOUR_DISTANCE}
         return _facing(T_world_camera, near)
 
     def nearest(self, T_world_camera: np.ndarray) -> int:
@@ -263,26 +263,26 @@ class Optics:
         off_axis = _off_axis(_facing(T_world_camera, self.squares))
         return min(off_axis, key=lambda k: off_axis[k])
 
-    def in_view(self, T_world_camera: np.ndarray, own: int, intrinsics: np.ndarray) -> int:
+    def in_view(self, T_world_camera: np.ndarray, square: int, intrinsics: np.ndarray) -> int:
         """Count the square's own fiducials that are wholly in view, if no other square is nearer the optical axis."""
-        seen = self.seen(T_world_camera, own)
-        if own not in seen:
+        in_front = self.seen(T_world_camera, square)
+        if square not in in_front:
             return 0
-        off_axis = _off_axis(seen)
-        limit = off_axis.pop(own) + CLEARLY_OWN
+        off_axis = _off_axis(in_front)
+        limit = off_axis.pop(square) + OWN_SQUARE_LEAD
         if any(other < limit for other in off_axis.values()):
             return 0
-        pixels = _project_flat(fiducial_corners(), seen[own], intrinsics)
+        pixels = _project_flat(fiducial_corners(), in_front[square], intrinsics)
         last = np.array([self.width - 1, self.height - 1])
-        inside = (pixels > MARGIN) & (pixels < last - MARGIN)
+        inside = (pixels > VIEW_MARGIN) & (pixels < last - VIEW_MARGIN)
         return int(inside.all(axis=(1, 2)).sum())
 
 
 def _facing(T_world_camera: np.ndarray, squares: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
     """Return T_camera_square, (4, 4), of those of the squares that lie before the camera and face it."""
     T_camera_world = np.linalg.inv(T_world_camera)
-    seen = {k: T_camera_world @ T for k, T in squares.items()}
-    return {k: T for k, T in seen.items() if T[2, 3] > NEAREST and T[2, 2] < 0}
+    poses = {k: T_camera_world @ T for k, T in squares.items()}
+    return {k: T for k, T in poses.items() if T[2, 3] > LEAST_DISTANCE and T[2, 2] < 0}
 
 
 def _off_axis(T_camera_squares: Mapping[int, np.ndarray]) -> dict[int, float]:
@@ -298,13 +298,13 @@ def _pierced(T_camera_square: np.ndarray) -> np.ndarray:
 
 
 def photograph(
-    T_world_camera: np.ndarray, own: int, optics: Optics, head: Head, rng: np.random.Generator, noise: float = NOISE
+    T_world_camera: np.ndarray, square: int, optics: Optics, head: Head, rng: np.random.Generator, noise: float = NOISE
 ) -> tuple[bytes, np.ndarray]:
     """Take one shot.
 
     Args:
         T_world_camera: Shape (4, 4).
-        own: Index of the square nearest the optical axis.
+        square: Index of the square nearest the optical axis.
         optics: The camera's size and the squares.
         head: As it really is.
         rng: Of light, blur and noise.
@@ -313,13 +313,13 @@ def photograph(
     Returns:
         The image as JPEG, and the ranges, shape (S,), [m].
     """
-    seen = optics.seen(T_world_camera, own)
+    seen = optics.seen(T_world_camera, square)
     right, down = rng.uniform(-LIGHT, LIGHT, 2)
     blur = float(rng.uniform(*BLUR))
     scene = Scene(light=(float(right), float(down)), blur=blur, noise=noise)
     image = render(seen, head.intrinsics, optics.width, optics.height, scene, rng)
-    _, content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    return content.tobytes(), read_sonars(seen[own], head, rng)
+    _, content = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return content.tobytes(), read_sonars(seen[square], head, rng)
 
 
 def read_sonars(T_camera_square: np.ndarray, head: Head, rng: np.random.Generator) -> np.ndarray:

@@ -40,7 +40,7 @@ NEAREST, FARTHEST = 0.02, 5.0
 STEEPEST = 0.7
 
 # Share of the next square's distance within which the nearest must be, seen from the nominal arm, to be taken for it.
-CLEARLY = 0.5
+CLEAR_LEAD_SHARE = 0.5
 
 # [m] A turn of the camera counts as a shift of this times as much: about its distance from the square.
 LEVER = 0.25
@@ -76,10 +76,10 @@ class Shot:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What one image says.
+    """Fiducials and pose of one image.
 
     Attributes:
-        fiducials: Found in it.
+        fiducials: In the image.
         pose: Of the square in the camera.
     """
 
@@ -89,15 +89,15 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Measured:
-    """What became of a shot.
+    """The result of a shot: a pose, or the reason why there is none.
 
     Attributes:
-        shot: Which one.
-        square: Index of the square that was seen.
+        shot: The shot.
+        square: Index of the square in the image.
         T_world_tip: Shape (4, 4); None if the shot was refused.
         std: Position [m] and rotation vector [rad] in world axes, shape (6,).
-        range_residuals: What each sonar reads beyond the pose, shape (S,), [m].
-        fiducials: Those that were found; None if there are none.
+        range_residuals: Readings of the sonars minus the pose's ranges, shape (S,), [m].
+        fiducials: In the image; None if there are none.
         why: Why the shot was refused; empty if it was not.
         thumbnail: The image with the fiducials drawn on it, JPEG.
     """
@@ -132,10 +132,10 @@ def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
     n = len(table)
     ranges = [table.numbers(name)[0] for name in range_columns(head)]
     h = np.column_stack(ranges) if ranges else np.zeros((n, 0))
-    given: list[int | str | None] = [None] * n
+    indices: list[int | str | None] = [None] * n
     cameras: list[np.ndarray | None] = [None] * n
     if "square" in table.names:
-        given = _given_squares(table)
+        indices = _given_squares(table)
     else:
         if head.robot is None:
             raise MeasurementError(f"{head.shots}: no column 'square'; add it, or name the `robot` in {path}")
@@ -143,8 +143,8 @@ def shots_of(table: Table, head: HeadSettings, path: Path) -> list[Shot]:
         robot = load_robot(arm.urdf, arm.tip, arm.base, head.limits.urdf, arm.packages, arm.arguments, arm.stated)
         cameras = list(_nominal_cameras(robot, table, head))
     images = table.texts("image")
-    columns = zip(table.line, images, h, given, cameras, strict=True)
-    return [Shot(int(line), str(image), own, square, T) for line, image, own, square, T in columns]
+    columns = zip(table.line, images, h, indices, cameras, strict=True)
+    return [Shot(int(line), str(image), shot_ranges, square, T) for line, image, shot_ranges, square, T in columns]
 
 
 def _given_squares(table: Table) -> list[int | str | None]:
@@ -253,14 +253,14 @@ def sight(
     intrinsics = head.camera.intrinsics
     try:
         if head.target == "charuco":
-            found = find_charuco(image, board(head), square, intrinsics)
+            fiducials = find_charuco(image, board(head), square, intrinsics)
         else:
-            found = find_fiducials(image, layout(squares, square), intrinsics, sonars)
-        points, start = found.layout.centres, found.T_camera_square
-        pose = measure_pose(points, found.pixels, found.covariances, sonars, intrinsics, start)
+            fiducials = find_fiducials(image, layout(squares, square), intrinsics, sonars)
+        points, start = fiducials.layout.centres, fiducials.T_camera_square
+        pose = measure_pose(points, fiducials.pixels, fiducials.covariances, sonars, intrinsics, start)
     except ValueError as error:
         raise NotMeasured(str(error)) from None
-    return Sighting(found, pose)
+    return Sighting(fiducials, pose)
 
 
 def board(head: HeadSettings) -> Board:
@@ -354,18 +354,18 @@ def _square_seen(sighting: Sighting, T_world_camera: np.ndarray, squares: Mappin
         turn = np.arccos(np.clip(cosine, -1, 1))
         off[index] = float(np.linalg.norm(T[:3, 3]) + LEVER * turn)
     best, *others = sorted(off, key=lambda index: off[index])
-    if others and off[best] > CLEARLY * off[others[0]]:
+    if others and off[best] > CLEAR_LEAD_SHARE * off[others[0]]:
         raise NotMeasured(f"which square is seen is ambiguous, {best} or {others[0]}: give `square`")
     return best
 
 
-def picture(image: np.ndarray, found: Fiducials | None, own: int | None, width: int) -> bytes:
+def picture(image: np.ndarray, fiducials: Fiducials | None, own: int | None, width: int) -> bytes:
     """Draw the found fiducials on an image, those of the square itself in green, and return a small JPEG."""
     factor = width / image.shape[1]
     small = cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
     small = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
-    if found is not None:
-        labels = zip(found.layout.square, found.layout.fiducial, found.pixels, strict=True)
+    if fiducials is not None:
+        labels = zip(fiducials.layout.square, fiducials.layout.fiducial, fiducials.pixels, strict=True)
         for square, fiducial, (u, v) in labels:
             x, y = round(factor * (u + 0.5)), round(factor * (v + 0.5))
             colour = OWN_COLOUR if square == own else OTHER_COLOUR

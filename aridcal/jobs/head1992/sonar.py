@@ -25,7 +25,7 @@ TILT_TOLERANCE = 1e-15
 
 
 # Standard errors of a sonar's mean residual that are worth a word: noise does that once in 16,000 times.
-DISAGREES = 4.0
+DISAGREEMENT_SIGMAS = 4.0
 
 # Whose scatter says something.
 FEWEST_SHOTS = 3
@@ -122,7 +122,7 @@ def contradictions(residuals: np.ndarray, std: float) -> dict[int, float]:
         return {}
     mean = residuals.mean(axis=0)
     scatter = np.maximum(residuals.std(axis=0, ddof=1), std)
-    faulty = np.abs(mean) > DISAGREES * (scatter / np.sqrt(n))
+    faulty = np.abs(mean) > DISAGREEMENT_SIGMAS * (scatter / np.sqrt(n))
     return {int(k): float(mean[k]) for k in np.flatnonzero(faulty)}
 
 

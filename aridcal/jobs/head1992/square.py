@@ -125,21 +125,21 @@ class Layout:
 REACH = 2.5 * SIDE
 
 
-def layout(squares: Mapping[int, np.ndarray], own: int, reach: float = REACH) -> Layout:
+def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH) -> Layout:
     """Collect the fiducials of a square, first, and of those whose centres lie within reach of its centre.
 
     Args:
         squares: T_world_square of each known square, (4, 4).
-        own: Index of the square in whose frame the answer is given.
+        square: Index of the square in whose frame the answer is given.
         reach: [m].
 
     Returns:
         Six fiducials per square.
     """
-    T_own_world = np.linalg.inv(squares[own])
+    T_own_world = np.linalg.inv(squares[square])
     T_own_square = {k: T_own_world @ T for k, T in squares.items()}
     near = [k for k, T in T_own_square.items() if np.linalg.norm(T[:3, 3]) <= reach]
-    names = sorted(near, key=lambda k: (k != own, k))
+    names = sorted(near, key=lambda k: (k != square, k))
     xy_axes = np.array([T_own_square[k][:3, :2] for k in names])  # (S, 3, 2)
     origins = np.array([T_own_square[k][:3, 3] for k in names])
     centres = origins[:, None] + np.einsum("sij,fj->sfi", xy_axes, CENTRES)

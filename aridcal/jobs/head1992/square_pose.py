@@ -18,7 +18,7 @@ from aridcal.engine.instruments.camera_sonar import Measures, predict_ranges
 from aridcal.jobs.head1992.sonar import Plane
 
 # Sigma beyond which an image point is a gross error: noise does that once in 300,000 points.
-STANDS_OUT = 5.0
+OUTLIER_SIGMAS = 5.0
 
 # A chi-square less likely than this is no noise: the model, the lens or a sonar is wrong.
 MISFIT_P = 1e-4
@@ -30,10 +30,10 @@ FEW_DOF, FEW_MISFIT_P = 5, 0.1
 MAX_STEPS = 30
 
 # Sigma: a step that moves no residual by more, in the norm of all of them, ends the fit.
-STILL = 1e-4
+LAST_STEP = 1e-4
 
 # A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use.
-SHORTEN = 4.0
+STEP_DIVISOR = 4.0
 
 # Places off one line that determine a pose.
 FEWEST_POINTS = 3
@@ -84,18 +84,18 @@ class Pose:
     dof: float
 
 
-def kabsch(model: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Find the rigid placement T that brings model points (M, 3) onto seen ones (M, 3) with the least squares, (4, 4).
+def kabsch(model: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """The rigid placement T (4, 4) that brings model points (M, 3) onto points (M, 3) with the least squares.
 
-    H = sum of seen x model', means removed, = U S V'; R = U diag(1, 1, det(U V')) V' (Kabsch, Acta Cryst. A32, 1976).
+    H = sum of points x model', means removed, = U S V'; R = U diag(1, 1, det(U V')) V' (Kabsch, Acta Cryst. A32, 1976).
     """
-    model_mean, seen_mean = model.mean(0), seen.mean(0)
-    H = (seen - seen_mean).T @ (model - model_mean)
+    model_mean, points_mean = model.mean(0), points.mean(0)
+    H = (points - points_mean).T @ (model - model_mean)
     U, _, Vt = np.linalg.svd(H)
     no_mirror = np.diag([1, 1, np.linalg.det(U @ Vt)])
     T = np.eye(4)
     T[:3, :3] = U @ no_mirror @ Vt
-    T[:3, 3] = seen_mean - T[:3, :3] @ model_mean
+    T[:3, 3] = points_mean - T[:3, :3] @ model_mean
     return T
 
 
@@ -161,7 +161,7 @@ def fit_pose(
         T = T @ pin.exp6(twist).homogeneous
         if T[2, 3] <= 0:
             raise ValueError("the fiducials in view fit no pose in front of the camera")
-        if np.linalg.norm(B @ twist) < STILL:
+        if np.linalg.norm(B @ twist) < LAST_STEP:
             break
     else:
         raise ValueError("the fit of the pose does not converge")
@@ -202,7 +202,7 @@ def _shortened(twist: np.ndarray, distance: float) -> np.ndarray:
     """Shorten a step that goes further than the linear model reaches, see ``SHORTEN``; distance from the camera in [m]."""
     shift = float(np.linalg.norm(twist[:3]) / distance)
     turn = float(np.linalg.norm(twist[3:]))
-    return twist / max(1.0, SHORTEN * turn, SHORTEN * shift)
+    return twist / max(1.0, STEP_DIVISOR * turn, STEP_DIVISOR * shift)
 
 
 def robust_pose(
@@ -221,19 +221,19 @@ def robust_pose(
     Returns:
         The pose, and which points were used, shape (M,).
     """
-    used = np.ones(len(points), dtype=bool)
+    counting = np.ones(len(points), dtype=bool)
     T = start
     while True:
-        pose = fit_pose(points[used], pixels[used], covariances[used], sonars, intrinsics, T)
+        pose = fit_pose(points[counting], pixels[counting], covariances[counting], sonars, intrinsics, T)
         T = pose.T_camera_square
-        distance2 = _outlying(pose, points[used], covariances[used], intrinsics)
+        distance2 = _outlying(pose, points[counting], covariances[counting], intrinsics)
         worst = int(np.argmax(distance2))
         # Without that point chi2 falls by its distance2: what remains is the misfit of the others.
         others = (pose.chi2 - float(distance2[worst])) / max(pose.dof - 2, 1.0)
-        limit = STANDS_OUT**2 * max(1.0, others)
-        if np.count_nonzero(used) <= FEWEST_POINTS or distance2[worst] < limit:
-            return pose, used
-        used[np.flatnonzero(used)[worst]] = False
+        limit = OUTLIER_SIGMAS**2 * max(1.0, others)
+        if np.count_nonzero(counting) <= FEWEST_POINTS or distance2[worst] < limit:
+            return pose, counting
+        counting[np.flatnonzero(counting)[worst]] = False
 
 
 def _outlying(pose: Pose, points: np.ndarray, covariances: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:

@@ -24,22 +24,22 @@ from aridcal.jobs.history.difference import Difference
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.hypotheses import effect_groups, effect_in_words
 
-MOST = 8
-"""Causes that are named: of more, what happened is no longer a change of this robot."""
+MOST_CAUSES = 8
+"""Most causes that are named: with more, it is no longer a change of this robot."""
 
-ALIKE = 6.0
+ALIKE_SQUARES = 6.0
 """Squares by which two candidates may differ to be told apart: odds of 20 to 1."""
 
-SAME = 1e-4
+SAME_MOTION_SHARE = 1e-4
 """Share of its squares that two columns may differ by to be one motion: second-order terms of constants off by a centimetre."""
 
-NEARLY = 0.01
+NEAR_MOTION_SHARE = 0.01
 """Share of its squares that a column may differ by from a zero's to be called by that name: it is the same joint's own axis."""
 
-FELT = 1e-5
+VISIBLE_SHARE = 1e-5
 """Share of a column's squares that must be left when motions of base and target took theirs: second-order terms leave less."""
 
-RANK = 1e-4
+EFFECT_RANK_SHARE = 1e-4
 """Share of the largest singular value below which columns of one effect make one another up, likewise."""
 
 
@@ -48,15 +48,15 @@ class Cause:
     """Something that changed.
 
     Attributes:
-        words: What it is.
-        names: Of its coefficients.
-        units: Of each.
-        before: Their values in the first calibration; 0 where it has none.
-        value: By how much each changed, shape (m,).
-        std: Uncertainty of that by both calibrations, shape (m,).
+        words: Its name.
+        names: Of its m coefficients.
+        units: Of each coefficient.
+        before: Values in the first calibration; 0 where it has none.
+        value: Change of each coefficient, shape (m,).
+        std: Uncertainty of the change by both calibrations, shape (m,).
         p_value: Chance of as much where nothing changed, for all candidates together.
-        alike: What would explain as much.
-        sureness: Squares that it takes off, to order causes by.
+        alike: Other candidates that would explain as much.
+        sureness: Squares that the cause takes off; causes are in this order.
     """
 
     words: str
@@ -76,7 +76,7 @@ class Causes:
 
     Attributes:
         found: The causes, the surest first.
-        rest: Chance of what they leave, where nothing else changed.
+        rest: Chance of what the causes leave, where nothing else changed.
     """
 
     found: tuple[Cause, ...]
@@ -85,7 +85,7 @@ class Causes:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """What may have changed: columns of the difference, and of z."""
+    """Something that may have changed: indices of its columns in the difference, and its columns of z, shape (r, m)."""
 
     words: str
     own: tuple[int, ...]
@@ -105,39 +105,44 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
     candidates = list(_candidates(of))
     chosen = [c for c in candidates if moved and all(of.columns[k].coefficient.name in moved for k in c.own)]
     alike: dict[str, tuple[str, ...]] = {}
-    left = _left(of.z, chosen)
-    while of.p_of(float(left @ left), len(of.z) - _width(chosen)) < FALSE_ALARMS and len(chosen) < MOST:
+    residual = _residual(of.z, chosen)
+    while of.p_of(float(residual @ residual), len(of.z) - _width(chosen)) < FALSE_ALARMS and len(chosen) < MOST_CAUSES:
         others = [c for c in candidates if c not in chosen]
-        gains = [_gain(c, chosen, left) for c in others]
+        gains = [_gain(c, chosen, residual) for c in others]
         chances = [_log_p(of, gain, c.X.shape[1]) for gain, c in zip(gains, others, strict=True)]
         if not others or min(chances) + np.log(len(candidates)) > np.log(FALSE_ALARMS):
             break
         best = int(np.argmin(chances))
-        as_good = [k for k, gain in enumerate(gains) if gain > gains[best] - ALIKE]
-        best = next((k for k in as_good if others[k].zero), best)  # what moves most often: a zero
-        alike[others[best].words] = tuple(others[k].words for k in as_good if not _one_motion(others[k], others[best]))
+        alike_best = [k for k, gain in enumerate(gains) if gain > gains[best] - ALIKE_SQUARES]
+        best = next((k for k in alike_best if others[k].zero), best)  # what moves most often: a zero
+        alike[others[best].words] = tuple(
+            others[k].words for k in alike_best if not _one_motion(others[k], others[best])
+        )
         chosen.append(others[best])
-        left = _left(of.z, chosen)
+        residual = _residual(of.z, chosen)
     while chosen:
-        found = [_cause(of, chosen, k, len(candidates), alike.get(c.words, ()), moved) for k, c in enumerate(chosen)]
-        needless = [c for c, cause in zip(chosen, found, strict=True) if cause.p_value > FALSE_ALARMS]
-        if not needless:
+        causes_found = [
+            _cause(of, chosen, k, len(candidates), alike.get(c.words, ()), moved) for k, c in enumerate(chosen)
+        ]
+        insignificant = [c for c, cause in zip(chosen, causes_found, strict=True) if cause.p_value > FALSE_ALARMS]
+        if not insignificant:
             break
-        chosen.remove(needless[-1])
+        chosen.remove(insignificant[-1])
     if not chosen:
-        found = []
-    left = _left(of.z, chosen)
-    found.sort(key=lambda cause: -cause.sureness)
-    return Causes(tuple(found), of.p_of(float(left @ left), len(of.z) - _width(chosen)))
+        causes_found = []
+    residual = _residual(of.z, chosen)
+    causes_found.sort(key=lambda cause: -cause.sureness)
+    return Causes(tuple(causes_found), of.p_of(float(residual @ residual), len(of.z) - _width(chosen)))
 
 
 def untold_zeros(of: Difference) -> tuple[str, ...]:
     """Joints, with their limbs, of which a zero that moved looks like a base or a tool that was set up anew."""
-    left = across(of.free, np.column_stack([column.moves for column in of.columns]))
+    residual = across(of.free, np.column_stack([column.moves for column in of.columns]))
     return tuple(
         of.robot.place_in_words(column.coefficient.where)
-        for column, own in zip(of.columns, left.T, strict=True)
-        if column.coefficient.basis.form == "ones" and not own @ own > FELT * float(column.moves @ column.moves)
+        for column, motion in zip(of.columns, residual.T, strict=True)
+        if column.coefficient.basis.form == "ones"
+        and not motion @ motion > VISIBLE_SHARE * float(column.moves @ column.moves)
     )
 
 
@@ -146,67 +151,67 @@ def _width(chosen: list[_Candidate]) -> int:
 
 
 def _candidates(of: Difference) -> Iterator[_Candidate]:
-    """Zeros first, then constants, then effects; of those that are one motion the first, none that nobody can tell."""
+    """Zeros first, then constants, then effects; of several that are one motion the first, and none that cannot be told."""
     coefficients = [column.coefficient for column in of.columns]
     moves = np.column_stack([column.moves for column in of.columns])
-    open_ = across(of.free, moves)
-    felt = np.sum(open_**2, axis=0) > FELT * np.sum(moves**2, axis=0)
-    X = of.whitened(open_)
+    distinct = across(of.free, moves)
+    visible = np.sum(distinct**2, axis=0) > VISIBLE_SHARE * np.sum(moves**2, axis=0)
+    X = of.whitened(distinct)
     zeros = [k for k, c in enumerate(coefficients) if c.basis.form == "ones"]
     constants = [k for k, c in enumerate(coefficients) if c.basis.constant]
-    seen: list[np.ndarray] = []
+    motions: list[np.ndarray] = []
     for k in (*zeros, *constants):
         length = float(np.linalg.norm(X[:, k]))
-        if not felt[k] or length == 0.0:
+        if not visible[k] or length == 0.0:
             continue
         way = X[:, k] / length
-        if all(1.0 - float(way @ other) ** 2 > SAME for other in seen):
-            seen.append(way)
+        if all(1.0 - float(way @ other) ** 2 > SAME_MOTION_SHARE for other in motions):
+            motions.append(way)
             c = coefficients[k]
             zero = c.basis.form == "ones"
             place = of.robot.place_in_words(c.where)
             words = f"the zero of {place}" if zero else place.replace(c.where, c.name, 1)
             yield _Candidate(words, (k,), X[:, [k]], zero)
-    for (where, on, _), own in effect_groups(coefficients).items():
-        told = [k for k in own if felt[k] and np.any(X[:, k] != 0.0)]
-        if told:
+    for (where, on, _), of_effect in effect_groups(coefficients).items():
+        tellable = [k for k in of_effect if visible[k] and np.any(X[:, k] != 0.0)]
+        if tellable:
             words = effect_in_words(of.robot.place_in_words(where), on)
-            yield _Candidate(words, tuple(told), _independent(X[:, told]))
+            yield _Candidate(words, tuple(tellable), _independent(X[:, tellable]))
 
 
 def _one_motion(a: _Candidate, b: _Candidate) -> bool:
-    """True of the same candidate twice, and of two that no row tells apart where they change a little."""
+    """True of one candidate twice, and of two that no row tells apart as long as changes are small."""
     if a.words == b.words:
         return True
     if a.X.shape[1] != 1 or b.X.shape[1] != 1:
         return False
     x, y = a.X[:, 0], b.X[:, 0]
-    return float(x @ y) ** 2 > (1.0 - NEARLY) * float(x @ x) * float(y @ y)
+    return float(x @ y) ** 2 > (1.0 - NEAR_MOTION_SHARE) * float(x @ x) * float(y @ y)
 
 
 def _independent(X: np.ndarray) -> np.ndarray:
-    """Columns that span the same without those that others make up."""
+    """Independent columns that span what X (r, m) spans."""
     U, S, _ = np.linalg.svd(X, full_matrices=False)
-    told = RANK * S[0] < S
-    return np.asarray(U[:, told] * S[told])
+    significant = EFFECT_RANK_SHARE * S[0] < S
+    return np.asarray(U[:, significant] * S[significant])
 
 
 def _stack(chosen: list[_Candidate]) -> np.ndarray:
     return np.hstack([c.X for c in chosen])
 
 
-def _left(z: np.ndarray, chosen: list[_Candidate]) -> np.ndarray:
-    """What candidates leave of z."""
+def _residual(z: np.ndarray, chosen: list[_Candidate]) -> np.ndarray:
+    """Z (r,) less what candidates explain of it."""
     if not chosen:
         return z
     return across(_stack(chosen), z[:, None])[:, 0]
 
 
-def _gain(candidate: _Candidate, chosen: list[_Candidate], left: np.ndarray) -> float:
-    """Squares that one more candidate takes off what others leave."""
+def _gain(candidate: _Candidate, chosen: list[_Candidate], residual: np.ndarray) -> float:
+    """Squares that one more candidate takes off the residual of the chosen ones."""
     X = across(_stack(chosen), candidate.X) if chosen else candidate.X
-    after = across(X, left[:, None])[:, 0]
-    return float(left @ left - after @ after)
+    after = across(X, residual[:, None])[:, 0]
+    return float(residual @ residual - after @ after)
 
 
 def _log_p(of: Difference, squares: float, count: int) -> float:
@@ -218,32 +223,32 @@ def _cause(
     of: Difference,
     chosen: list[_Candidate],
     k: int,
-    many: int,
+    tests: int,
     alike: tuple[str, ...],
     moved: Mapping[str, float],
 ) -> Cause:
-    """One of several changes, beside the others."""
-    mine = chosen[k]
-    others = [c for c in chosen if c is not mine]
-    z = _left(of.z, others)
-    columns = [of.columns[i] for i in mine.own]
+    """The k-th of several chosen changes, fitted beside the others."""
+    candidate = chosen[k]
+    others = [c for c in chosen if c is not candidate]
+    z = _residual(of.z, others)
+    columns = [of.columns[i] for i in candidate.own]
     before = np.array([moved.get(column.coefficient.name, 0.0) for column in columns])
     X = of.whitened(across(of.free, np.column_stack([column.moves for column in columns])))
     if others:
         X = across(_stack(others), X)
-    # coefficients of an effect may stand for one another: the shortest change of them
-    inverse = np.linalg.pinv(X, rcond=RANK)
+    # coefficients of an effect may replace one another: of all changes that fit the shortest
+    inverse = np.linalg.pinv(X, rcond=EFFECT_RANK_SHARE)
     z = z + X @ before  # what was moved already, is a change, too
-    gain = _gain(mine, others, z)
-    known = [0.0 if np.isnan(column.values[0]) else column.values[0] for column in columns]
+    gain = _gain(candidate, others, z)
+    before_values = [0.0 if np.isnan(column.values[0]) else column.values[0] for column in columns]
     return Cause(
-        words=mine.words,
+        words=candidate.words,
         names=tuple(column.coefficient.name for column in columns),
         units=tuple(column.unit for column in columns),
-        before=tuple((known - before).tolist()),
+        before=tuple((before_values - before).tolist()),
         value=inverse @ z,
         std=np.sqrt(np.sum(inverse**2, axis=1)),
-        p_value=min(1.0, many * float(np.exp(_log_p(of, gain, mine.X.shape[1])))),
+        p_value=min(1.0, tests * float(np.exp(_log_p(of, gain, candidate.X.shape[1])))),
         alike=alike,
         sureness=gain,
     )

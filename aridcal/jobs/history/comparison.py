@@ -16,13 +16,13 @@ from aridcal.jobs.history.difference import Difference, difference
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.system.wording import enumerated, number, plus_minus, shown_in
 
-LARGE = 3e-3
+LARGE_CHANGE = 3e-3
 """[m] and [rad]: a change above this is no longer linear: terms of second order reach 10 um and 10 urad."""
 
-ROUNDS = 6
-"""Times that a large change is taken off and looked for again; three are usual."""
+LARGE_CHANGE_ROUNDS = 6
+"""Most times that a large change is taken off and looked for again; three are usual."""
 
-SETTLED = 1e-7
+LAST_STEP = 1e-7
 """[m] and [rad]: a large change that moves by less is found."""
 
 WORST_ROWS = 8
@@ -36,9 +36,9 @@ class Comparison:
     Attributes:
         difference: Of the predicted poses.
         causes: What changed.
-        records: What both calibrations say of themselves.
-        urdf: Of the first robot, its file's name; whether both are the same text.
-        stated: What the campaigns say differently of joints that have no column.
+        records: Of both calibrations, as their files hold them.
+        urdf: Name of the first robot's file, and whether both files have the same text.
+        stated: Notices of joints without a column of which the campaigns say different things.
     """
 
     difference: Difference
@@ -55,8 +55,10 @@ class Comparison:
     @property
     def notices(self) -> tuple[str, ...]:
         """What a reader should know."""
-        own = [] if self.urdf[1] else ["the nominal URDFs differ: constants are corrections of each calibration's own"]
-        return (*self.difference.notices, *own, *self.stated)
+        of_urdfs = (
+            [] if self.urdf[1] else ["the nominal URDFs differ: constants are corrections of each calibration's own"]
+        )
+        return (*self.difference.notices, *of_urdfs, *self.stated)
 
 
 def compare(a: SavedModel, b: SavedModel) -> Comparison:
@@ -65,38 +67,44 @@ def compare(a: SavedModel, b: SavedModel) -> Comparison:
     Raises:
         AridcalError: they are not of the same joints, or saw none of the same configurations.
     """
-    found = difference(a, b)
-    why = causes(found) if found.changed else Causes((), found.p_value)
-    moved: dict[str, float] = {}
-    seen = found
-    for _ in range(ROUNDS):
-        large = [c for c in why.found[:1] if not moved and np.abs(c.value).max() > LARGE]
-        again = [c for c in why.found if moved and set(c.names) <= set(moved)]
+    as_they_are = difference(a, b)
+    causes_found = causes(as_they_are) if as_they_are.changed else Causes((), as_they_are.p_value)
+    changes_taken: dict[str, float] = {}
+    with_changes = as_they_are
+    for _ in range(LARGE_CHANGE_ROUNDS):
+        large = [c for c in causes_found.found[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
+        again = [c for c in causes_found.found if changes_taken and set(c.names) <= set(changes_taken)]
         step = {name: float(value) for c in (*large, *again) for name, value in zip(c.names, c.value, strict=True)}
-        if not step or all(abs(value - moved.get(name, 0.0)) < SETTLED for name, value in step.items()):
+        if not step or all(abs(value - changes_taken.get(name, 0.0)) < LAST_STEP for name, value in step.items()):
             break
-        moved = step
-        seen = difference(a, b, moved)
-        why = causes(seen, moved)
+        changes_taken = step
+        with_changes = difference(a, b, changes_taken)
+        causes_found = causes(with_changes, changes_taken)
     robots = [saved.final.model.robot for saved in (a, b)]
     same = robots[0].urdf == robots[1].urdf
-    return Comparison(found, why, (a.record, b.record), (robots[0].path.name, same), tuple(_stated(*robots)))
+    return Comparison(
+        as_they_are,
+        causes_found,
+        (a.record, b.record),
+        (robots[0].path.name, same),
+        tuple(_differences_of_joints(*robots)),
+    )
 
 
-def _stated(first: Robot, second: Robot) -> Iterator[str]:
+def _differences_of_joints(first: Robot, second: Robot) -> Iterator[str]:
     """Joints without a column of which two campaigns say different things, in words."""
     one, other = first.stated, second.stated
     for name in dict.fromkeys((*one.names, *other.names)):
-        said = [_said(robot, name) for robot in (first, second)]
-        if said[0] != said[1]:
+        words = [_joint_in_words(robot, name) for robot in (first, second)]
+        if words[0] != words[1]:
             yield (
-                f"{name} {said[0]} in the first campaign and {said[1]} in the second: by that "
+                f"{name} {words[0]} in the first campaign and {words[1]} in the second: by that "
                 "alone the first model has what it moves elsewhere"
             )
 
 
-def _said(robot: Robot, name: str) -> str:
-    """What a campaign says of a joint without a column."""
+def _joint_in_words(robot: Robot, name: str) -> str:
+    """What a campaign says of a joint without a column, in words."""
     place, coupled = robot.stated.joints.get(name), robot.stated.coupled.get(name)
     if place is not None:
         unit = "m" if robot.moves[name][1] == "prismatic" else "rad"
@@ -111,38 +119,38 @@ def p_in_words(p_value: float) -> str:
     return f"p = {number(p_value, 2)}" if p_value >= 1e-12 else "p < 1e-12"
 
 
-def lines(found: Comparison) -> list[str]:
+def lines(both: Comparison) -> list[str]:
     """The answer in words, the verdict first."""
-    d = found.difference
-    odd = p_in_words(d.p_value)
-    if not found.changed:
-        said = [f"nothing changed beyond the uncertainty ({odd}; below {FALSE_ALARMS:g} a change is told)"]
+    d = both.difference
+    chance = p_in_words(d.p_value)
+    if not both.changed:
+        sentences = [f"nothing changed beyond the uncertainty ({chance}; below {FALSE_ALARMS:g} a change is told)"]
     else:
-        said = [f"changed: the predicted poses differ by more than the uncertainty of both ({odd})"]
-    said.append(_sizes(d))
-    said += [_cause(c) for c in found.causes.found]
-    if found.changed and not found.causes.found:
-        said.append("no single constant, zero or effect explains it")
-    elif found.changed and found.causes.rest < FALSE_ALARMS:
-        said.append(
-            f"what else changed cannot be named: more is left than the uncertainty explains ({p_in_words(found.causes.rest)})"
+        sentences = [f"changed: the predicted poses differ by more than the uncertainty of both ({chance})"]
+    sentences.append(_sizes(d))
+    sentences += [_cause(c) for c in both.causes.found]
+    if both.changed and not both.causes.found:
+        sentences.append("no single constant, zero or effect explains it")
+    elif both.changed and both.causes.rest < FALSE_ALARMS:
+        sentences.append(
+            f"what else changed cannot be named: more is left than the uncertainty explains ({p_in_words(both.causes.rest)})"
         )
     if d.frames:
-        said.append(_frames(d))
-    untold = untold_zeros(d)
-    if untold:
-        zeros = "the zero" if len(untold) == 1 else "the zeros"
-        said.append(f"not told from that: {zeros} of {enumerated(list(untold))}")
-    return said
+        sentences.append(_frames(d))
+    zeros_unknown = untold_zeros(d)
+    if zeros_unknown:
+        zeros = "the zero" if len(zeros_unknown) == 1 else "the zeros"
+        sentences.append(f"not told from that: {zeros} of {enumerated(list(zeros_unknown))}")
+    return sentences
 
 
 def _sizes(d: Difference) -> str:
-    """How far the targets are apart."""
+    """A sentence on the distances of the targets."""
     parts = []
     for k, (unit, scale) in enumerate((("mm", 1e3), ("mrad", 1e3))[: 1 + d.turns]):
-        own = slice(3 * k, 3 * k + 3)
-        apart = np.linalg.norm(d.apart[:, own], axis=1)
-        usual = float(np.sqrt(np.mean(np.sum(d.expected[:, own] ** 2, axis=1))))
+        axes = slice(3 * k, 3 * k + 3)
+        apart = np.linalg.norm(d.apart[:, axes], axis=1)
+        usual = float(np.sqrt(np.mean(np.sum(d.expected[:, axes] ** 2, axis=1))))
         rms, most = float(np.sqrt(np.mean(apart**2))), float(apart.max())
         parts.append(
             f"{number(scale * rms)} {unit} RMS, {number(scale * most)} {unit} at most ({number(scale * usual)} {unit} RMS is "
@@ -152,7 +160,7 @@ def _sizes(d: Difference) -> str:
 
 
 def _cause(c: Cause) -> str:
-    """One cause."""
+    """A line on one cause."""
     if len(c.names) == 1:
         unit, scale = shown_in(c.units[0])
         sign = "+" if c.value[0] > 0 else ""
@@ -168,7 +176,7 @@ NOUNS = {"world_base": "base (or the instrument)", "tip_target": "tool (or the t
 
 
 def _frames(d: Difference) -> str:
-    """What was set up anew."""
+    """A line on the frames that were set up anew."""
     parts = [
         f"the {NOUNS[where]}, {number(1e3 * length)} mm and {number(1e3 * turn)} mrad elsewhere"
         if d.turns or where == "world_base"
@@ -178,9 +186,9 @@ def _frames(d: Difference) -> str:
     return f"not counted, for each calibration fits it anew: {enumerated(parts)}"
 
 
-def constants(found: Comparison) -> list[dict[str, Any]]:
+def constants(comparison: Comparison) -> list[dict[str, Any]]:
     """Coefficients that both calibrations have, each by itself, in SI; those of which the difference is surest come first."""
-    d = found.difference
+    d = comparison.difference
     rows = []
     for k, column in enumerate(d.columns):
         before, after = column.values
@@ -206,9 +214,9 @@ def worst(d: Difference) -> np.ndarray:
     return np.argsort(-np.linalg.norm(d.apart[:, :3], axis=1))[:WORST_ROWS]
 
 
-def document(found: Comparison) -> dict[str, Any]:
+def document(comparison: Comparison) -> dict[str, Any]:
     """``compare.json`` as plain data, in SI where no unit is in the name."""
-    d = found.difference
+    d = comparison.difference
     size = np.linalg.norm(d.apart[:, :3], axis=1)
     expected = np.sqrt(np.sum(d.expected[:, :3] ** 2, axis=1))
     poses: dict[str, Any] = {"position_mm": _spread(1e3 * size, 1e3 * expected)}
@@ -217,7 +225,7 @@ def document(found: Comparison) -> dict[str, Any]:
         poses["rotation_mrad"] = _spread(1e3 * turn, 1e3 * np.sqrt(np.sum(d.expected[:, 3:] ** 2, axis=1)))
     return {
         "format": 1,
-        "changed": found.changed,
+        "changed": comparison.changed,
         "p_value": d.p_value,
         "false_alarms": FALSE_ALARMS,
         "compared": len(d.z),
@@ -233,23 +241,23 @@ def document(found: Comparison) -> dict[str, Any]:
                 "p_value": c.p_value,
                 "as_well": list(c.alike),
             }
-            for c in found.causes.found
+            for c in comparison.causes.found
         ],
-        "rest_p_value": found.causes.rest,
-        "constants": constants(found),
+        "rest_p_value": comparison.causes.rest,
+        "constants": constants(comparison),
         "frames": {where: {"distance": length, "angle": turn} for where, (length, turn) in d.frames.items()},
         "not_told": [f"the zero of {name}" for name in untold_zeros(d)],
         "worst": [dict(zip(d.robot.readings, d.readings[k].tolist(), strict=True)) for k in worst(d)],
-        "notices": list(found.notices),
+        "notices": list(comparison.notices),
         "version": __version__,
     }
 
 
-def _spread(apart: np.ndarray, expected: np.ndarray) -> dict[str, float]:
-    """Statistics of distances, shape (M,), and what the uncertainty alone makes of them."""
+def _spread(distance: np.ndarray, expected: np.ndarray) -> dict[str, float]:
+    """Statistics of distances, shape (M,), and the RMS that the uncertainty alone would give."""
     return {
-        "rms": float(np.sqrt(np.mean(apart**2))),
-        "p95": float(np.percentile(apart, 95)),
-        "max": float(apart.max()),
+        "rms": float(np.sqrt(np.mean(distance**2))),
+        "p95": float(np.percentile(distance, 95)),
+        "max": float(distance.max()),
         "expected_rms": float(np.sqrt(np.mean(expected**2))),
     }

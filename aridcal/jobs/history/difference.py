@@ -53,27 +53,27 @@ from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.repair import unit_of
 from aridcal.system.wording import counted
 
-SMALLEST = 1e-7
+LEAST_DIFFERENCE = 1e-7
 """[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""
 
-SECOND = 0.1
+SECOND_ORDER_LEVER = 0.1
 """[m]: what a squared angle moves that is hardly known, when base and tool took their part of it: a tenth of what it does at a
 metre. Of angles known to 1 mrad it is 0.1 um."""
 
-ALIKE = 1e-5
+SAME_MOTION_SHARE = 1e-5
 """Share of a constant's squares that other constants leave of it where it is one motion with them but for terms of second order,
 of constants off by 3 mm or 3 mrad: it was told, under their names. Its value times what is left is what these terms may be."""
 
-WELL = 3e-3
+WELL_KNOWN_SIGMA = 3e-3
 """[m] and [rad]: sigma of the least known constant above which this cannot be said: in a corner all motions look alike."""
 
-RANK = 1e-9
+ROUNDING_SHARE = 1e-9
 """Share of the largest singular value, coefficients scaled by their uncertainty, below which a direction is rounding."""
 
-UNTOLD = (
+UNKNOWN_NOTICE = (
     "the {} calibration could not tell {} that the other has: what they do was taken off, and less is told of all else"
 )
-"""Notice of rows that tell too little."""
+"""Notice where the rows of one calibration tell too little."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ class Column:
 
     Attributes:
         coefficient: Of the arm; frames that were set up anew have none.
-        unit: Of it: m or rad; of an effect's that of the motion, per unit of its basis.
-        values: In the first and the second calibration; NaN where it has none.
+        unit: m or rad; of an effect's coefficient that of the motion, per unit of its basis.
+        values: In the first and the second calibration; NaN where one has no such coefficient.
         moves: How the numbers change with it, in sigmas, shape (n,).
     """
 
@@ -98,17 +98,19 @@ class Difference:
     """Two calibrations compared where both saw the robot. Numbers n: 6 of each configuration, 3 where a rotation is not known.
 
     Attributes:
-        columns: What both know of the arm, K coefficients.
-        covariance: Of their differences, shape (K, K): the sum of both, a coefficient that one has not being known there.
-        lacking: What the effects of one may be off by in the other, which has none, each of unit variance, shape (n, u).
+        columns: Coefficients of the arm in either calibration, K of them.
+        covariance: Of the coefficients' differences, shape (K, K): the sum of both; a calibration adds nothing for a
+            coefficient that it does not have.
+        lacking: Columns, each of unit variance, of what effects of one calibration may amount to in the other, which has none
+            of them, shape (n, u).
         readings: Of the configurations, shape (M, columns), [rad] or [m].
-        robot: Whose they are.
+        robot: Of both calibrations.
         turns: Whether rotations are compared.
-        d: What differs, in sigmas, shape (n,).
-        free: What nobody can tell, shape (n, f).
-        sigma: What the numbers of a configuration were divided by, shape (6,) or (3,).
-        freedom: Behind the noise of both; infinite where it was declared.
-        frames: What was set up anew, ``world_base`` and ``tip_target``, and how far apart both have it, [m] and [rad].
+        d: Second minus first, in sigmas, shape (n,).
+        free: Columns of motions that cannot be told: of base, target and unknown constants, shape (n, f).
+        sigma: Divisors of a configuration's numbers, [m] and [rad], shape (6,) or (3,).
+        freedom: Degrees of freedom of the noise of both; infinite where it was declared.
+        frames: Frames set up anew, ``world_base`` and ``tip_target``, and how far apart both have each, [m] and [rad].
         notices: What a reader should know.
     """
 
@@ -133,24 +135,24 @@ class Difference:
         Q, R = np.linalg.qr(spread)
         U, S, _ = svd(R, lapack_driver="gesvd")  # LAPACK's faster one gives up on some matrices of less than full rank
         U = Q @ U
-        told = RANK * max(float(S.max(initial=0.0)), np.finfo(float).tiny) < S
+        told = ROUNDING_SHARE * max(float(S.max(initial=0.0)), np.finfo(float).tiny) < S
         turns = [column.unit == "rad" and column.coefficient.basis.always for column in self.columns]
-        second = SECOND * float(np.diag(self.covariance)[turns].max(initial=0.0))
-        floor = np.sqrt(len(self.d)) * (SMALLEST + second) / float(self.sigma.min())
+        second = SECOND_ORDER_LEVER * float(np.diag(self.covariance)[turns].max(initial=0.0))
+        floor = np.sqrt(len(self.d)) * (LEAST_DIFFERENCE + second) / float(self.sigma.min())
         return U[:, told], np.hypot(S[told], floor)
 
     def whitened(self, columns: np.ndarray) -> np.ndarray:
-        """Columns of the poses, (n,) or (n, k), in the directions that both tell, divided by what the uncertainty is there."""
+        """Columns of the poses, (n,) or (n, k), along the directions that both tell, in sigmas there: (r,) or (r, k)."""
         U, S = self._directions
         return np.asarray(((U.T @ columns).T / S).T)
 
     @cached_property
     def z(self) -> np.ndarray:
-        """What differs, likewise: standard normal where nothing changed, shape (r,)."""
+        """The difference, whitened: standard normal where nothing changed, shape (r,)."""
         return self.whitened(across(self.free, self.d[:, None])[:, 0])
 
     def p_of(self, squares: float, count: int) -> float:
-        """Chance of a sum of squares of so many of these numbers."""
+        """Chance of a larger sum of squares of ``count`` of these numbers."""
         if count == 0:
             return 1.0
         return float(fisher.sf(squares / count, count, min(self.freedom, 1e9)))
@@ -167,13 +169,13 @@ class Difference:
 
     @cached_property
     def apart(self) -> np.ndarray:
-        """How far apart the targets are, free motions taken off, [m] and [rad], shape (M, 3) or (M, 6)."""
+        """Distances of the targets, free motions taken off, [m] and [rad], shape (M, 3) or (M, 6)."""
         left = across(self.free, self.d[:, None])
         return np.asarray(left.reshape(-1, len(self.sigma)) * self.sigma)
 
     @cached_property
     def expected(self) -> np.ndarray:
-        """1-sigma of these, shape of :attr:`apart`, by the uncertainty of both."""
+        """1-sigma of these distances by the uncertainty of both, shape of :attr:`apart`."""
         U, S = self._directions
         return np.asarray(np.sqrt(np.sum((U * S) ** 2, axis=1)).reshape(-1, len(self.sigma)) * self.sigma)
 
@@ -191,25 +193,25 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     """
     both = seen_by_both(a, b, moved or {})
     noise = [a.scatter[0], b.scatter[0]]
-    sigma = np.repeat([max(SMALLEST, *(n[k] for n in noise)) for k in range(1 + both.turns)], 3)
-    per = np.tile(1.0 / sigma, len(both.readings))[:, None]
-    own = [J * per for J in both.J]
-    free = both.bodies * per
-    columns, covariances = _together(both.solved, own, frozenset(both.frames))
-    every = np.column_stack([column.moves for column in columns])
-    lacking, untold, notices = [], [], [*both.notices, *_shared_rows(a, b)]
+    sigma = np.repeat([max(LEAST_DIFFERENCE, *(n[k] for n in noise)) for k in range(1 + both.turns)], 3)
+    per_sigma = np.tile(1.0 / sigma, len(both.readings))[:, None]
+    whitened_moves = [J * per_sigma for J in both.J]
+    free = both.bodies * per_sigma
+    columns, covariances = _together(both.solved, whitened_moves, frozenset(both.frames))
+    moves = np.column_stack([column.moves for column in columns])
+    lacking, unknown, notices = [], [], [*both.notices, *_shared_rows(a, b)]
     for side, saved in enumerate((a, b)):
-        known = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
+        has = np.array([not np.isnan(column.values[side]) for column in columns], dtype=bool)
         variance = np.diag(covariances[side])
         constant = [column.coefficient.basis.always for column in columns]
-        well = float(variance[constant].max(initial=0.0)) < WELL**2
-        fitted = known & (variance > 0.0)
-        effects, constants, times = _not_seen(saved, columns, every, known, fitted, free, sigma, well)
+        well_known = float(variance[constant].max(initial=0.0)) < WELL_KNOWN_SIGMA**2
+        fitted = has & (variance > 0.0)
+        effects, constants, times = _unknown_to(saved, columns, moves, has, fitted, free, sigma, well_known)
         lacking.append(effects)
-        untold.append(constants)
+        unknown.append(constants)
         covariances[side] *= times
         if constants.shape[1]:
-            notices.append(UNTOLD.format(("first", "second")[side], counted(constants.shape[1], "constant")))
+            notices.append(UNKNOWN_NOTICE.format(("first", "second")[side], counted(constants.shape[1], "constant")))
     return Difference(
         columns=columns,
         covariance=covariances[0] + covariances[1],
@@ -217,8 +219,8 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
         readings=both.readings,
         robot=a.final.model.robot,
         turns=both.turns,
-        d=both.d * per[:, 0],
-        free=np.hstack([free, *untold]),
+        d=both.d * per_sigma[:, 0],
+        free=np.hstack([free, *unknown]),
         sigma=sigma,
         freedom=_freedom(a, b, both.turns),
         frames=both.frames,
@@ -236,16 +238,16 @@ def _together(
     """
     columns: list[Column] = []
     place: dict[str, int] = {}
-    at: list[list[int]] = []
-    kept: list[list[int]] = []
+    columns_of: list[list[int]] = []
+    indices_of: list[list[int]] = []
     for side, (solved, J) in enumerate(zip(both, moves, strict=True)):
-        at.append([])
-        kept.append([])
+        columns_of.append([])
+        indices_of.append([])
         for k, c in enumerate(solved.model.coefficients):
             if c.where in anew and c.basis.constant:
                 continue
-            own = any(name in OVER_TIME for name in c.basis.of)
-            name = f"{c.name} of {side}" if own else c.name
+            over_time = any(name in OVER_TIME for name in c.basis.of)
+            name = f"{c.name} of {side}" if over_time else c.name
             value = float(solved.theta[k])
             if name not in place:
                 place[name] = len(columns)
@@ -255,64 +257,75 @@ def _together(
             else:
                 first = columns[place[name]]
                 columns[place[name]] = Column(c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k]))
-            at[side].append(place[name])
-            kept[side].append(k)
+            columns_of[side].append(place[name])
+            indices_of[side].append(k)
     covariances = np.zeros((2, len(columns), len(columns)))
-    for covariance, solved, rows, own_rows in zip(covariances, both, at, kept, strict=True):
+    for covariance, solved, rows, own_rows in zip(covariances, both, columns_of, indices_of, strict=True):
         covariance[np.ix_(rows, rows)] = solved.covariance[np.ix_(own_rows, own_rows)]
     return tuple(columns), covariances
 
 
-def _not_seen(
+def _unknown_to(
     saved: SavedModel,
     columns: tuple[Column, ...],
     moves: np.ndarray,
-    known: np.ndarray,
+    present: np.ndarray,
     fitted: np.ndarray,
     free: np.ndarray,
     sigma: np.ndarray,
-    well: bool,
+    well_known: bool,
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """What one calibration cannot know of the coefficients that only the other has.
+    """What one calibration cannot know of the coefficients that the other alone has.
 
     Args:
         saved: The calibration.
         columns: K coefficients.
         moves: Their columns, shape (n, K).
-        known: Which of them it has, shape (K,) bool.
+        present: Which of them it has, shape (K,) bool.
         fitted: Which of these it fitted: zeros that it lacks are known to be 0.
         free: Motions of base and target, shape (n, f).
         sigma: See :class:`Difference`.
-        well: Whether what it fitted is known well enough to say which motions are alike.
+        well_known: Whether what it fitted is known well enough to say which motions are alike.
 
     Returns:
         Of effects, and of second order, each of unit variance, shape (n, u); of constants, which may be anything, shape (n, v);
         and times what the calibration's own covariance is larger for these.
     """
     constant = np.array([column.coefficient.basis.always for column in columns], dtype=bool)
-    mine = np.hstack([moves[:, fitted], free])
-    left = across(mine, moves[:, ~known])
-    size = np.sqrt(np.mean(left**2, axis=0)) * float(sigma.min())
-    own = constant[~known]
-    alike = well & own & (np.sum(left**2, axis=0) < ALIKE * np.sum(moves[:, ~known] ** 2, axis=0))
-    value = np.array([np.nanmax(np.abs(column.values)) for column, has in zip(columns, known, strict=True) if not has])
-    slight = left[:, alike] * value[alike]
-    effects, untold = left[:, ~own], left[:, own & ~alike & (LOOSE * size > SMALLEST)]
-    noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), SMALLEST)
+    spanned = np.hstack([moves[:, fitted], free])
+    residual = across(spanned, moves[:, ~present])
+    size = np.sqrt(np.mean(residual**2, axis=0)) * float(sigma.min())
+    constant_only = constant[~present]
+    same_motion = (
+        well_known
+        & constant_only
+        & (np.sum(residual**2, axis=0) < SAME_MOTION_SHARE * np.sum(moves[:, ~present] ** 2, axis=0))
+    )
+    value = np.array(
+        [np.nanmax(np.abs(column.values)) for column, has in zip(columns, present, strict=True) if not has]
+    )
+    second_order = residual[:, same_motion] * value[same_motion]
+    effects, unknown = (
+        residual[:, ~constant_only],
+        residual[:, constant_only & ~same_motion & (LOOSE * size > LEAST_DIFFERENCE)],
+    )
+    noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), LEAST_DIFFERENCE)
     places = len(moves) // len(sigma)
     rows = float(saved.record.get("data", {}).get("train", 0.0)) / places
     own_noise = np.tile(sigma / noise, places)[:, None]
-    times = 1.0 + float(np.sum(np.mean((LOOSE * untold * own_noise) ** 2, axis=0)))
+    times = 1.0 + float(np.sum(np.mean((LOOSE * unknown * own_noise) ** 2, axis=0)))
     if not effects.shape[1]:
-        return slight, untold, times
-    heard = effects * own_noise
-    prior = np.maximum(size[~own] / LOOSE, np.finfo(float).tiny) ** 2  # alone, none moves the target by more than LOOSE
-    inverse, _ = pseudo_inverse(rows * heard.T @ heard + np.diag(prior), RANK**2)
-    return np.hstack([slight, effects @ _root(inverse)]), untold, times
+        return second_order, unknown, times
+    seen = effects * own_noise
+    prior = (
+        np.maximum(size[~constant_only] / LOOSE, np.finfo(float).tiny) ** 2
+    )  # alone, none moves the target by more than LOOSE
+    inverse, _ = pseudo_inverse(rows * seen.T @ seen + np.diag(prior), ROUNDING_SHARE**2)
+    return np.hstack([second_order, effects @ _root(inverse)]), unknown, times
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
-    """L with L L^T the covariance, shape (K, K); rounding below zero is nothing."""
+    """L with L L^T the covariance, shape (K, K); variances that rounding made negative count as zero."""
     scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -320,13 +333,13 @@ def _root(covariance: np.ndarray) -> np.ndarray:
 
 def _freedom(a: SavedModel, b: SavedModel, turns: bool) -> float:
     """Degrees of freedom behind the noise of both (Welch 1947 for two variances that count alike): infinite if declared."""
-    of_each = [_freedom_of(saved, turns) for saved in (a, b)]
-    weights = sum(0.25 / freedom for freedom in of_each)
+    freedoms = [_freedom_of(saved, turns) for saved in (a, b)]
+    weights = sum(0.25 / freedom for freedom in freedoms)
     return 1.0 / weights if weights > 0.0 else np.inf
 
 
 def _freedom_of(saved: SavedModel, turns: bool) -> float:
-    """Of one calibration, over all that its rows measured."""
+    """Degrees of freedom of one calibration's noise, over all channels of its rows."""
     kinds = saved.record.get("scatter_of_kinds", {})
     if kinds:
         return float(sum(part["freedom"] for channels in kinds.values() for part in channels.values()))
@@ -334,13 +347,15 @@ def _freedom_of(saved: SavedModel, turns: bool) -> float:
 
 
 def _shared_rows(a: SavedModel, b: SavedModel) -> list[str]:
-    """What makes two calibrations no two independent ones."""
+    """Notices of why two calibrations are not independent."""
     data = [saved.record.get("data", {}).get("sha256") for saved in (a, b)]
-    found = []
+    notices = []
     if data[0] is not None and data[0] == data[1]:
-        found.append("both were made from the same rows: their noise is the same, and less differs than is allowed for")
+        notices.append(
+            "both were made from the same rows: their noise is the same, and less differs than is allowed for"
+        )
     if any("lineage" in saved.record for saved in (a, b)):
-        found.append(
+        notices.append(
             "one is a repair and keeps what an earlier calibration knew: if that is the other, what it kept cannot differ"
         )
-    return found
+    return notices

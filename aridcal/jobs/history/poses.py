@@ -25,14 +25,14 @@ from aridcal.system.errors import AridcalError, listed
 CONFIGURATIONS = 256
 """Drawn over the joints' common ranges, a power of two for Sobol's sequence: four times the numbers of the largest models."""
 
-STEPS = 8
+ALIGNMENT_STEPS = 8
 """Small steps that take off the motions of base and target; four are usual."""
 
-SETTLED = 1e-13
+LAST_STEP = 1e-13
 """[m] and [rad]: a step below this is rounding."""
 
 OVER_TIME = ("time", ROW_ORDER)
-"""Covariates of which every campaign has its own origin: each calibration stands at its last row."""
+"""Covariates of which every campaign has its own origin: each calibration is compared at its last row."""
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ class BothPoses:
         turns: Whether rotations are compared.
         solved: Both, in one place, with the zeros of all joints among their coefficients.
         J: How the numbers change with the coefficients of each, world axes, shape (n, K) each.
-        d: What the second has more than the first, [m] and [rad], shape (n,).
-        bodies: How the numbers change with what was set up anew, shape (n, up to 6 + 6 targets).
-        frames: What that is, ``world_base`` and ``tip_target``, and how far apart both have it, [m] and [rad].
+        d: Second minus first, [m] and [rad], shape (n,).
+        bodies: How the numbers change with frames set up anew, shape (n, up to 6 + 6 targets).
+        frames: These frames, ``world_base`` and ``tip_target``, and how far apart both have each, [m] and [rad].
         notices: What a reader should know.
     """
 
@@ -74,17 +74,17 @@ def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> Bo
     _check_same_arm(a, b)
     turns = a.turns and b.turns
     notices: list[str] = []
-    readings, covariates = _drawn(a, b, notices)
+    readings, covariates = _draw_configurations(a, b, notices)
     targets = _targets(a, b)
-    first, second, frames = _in_one_place(_moved(widened(a.doubted), moved), widened(b.doubted), targets)
+    first, second, frames = _in_one_place(_with_added(widened(a.doubted), moved), widened(b.doubted), targets)
     which = np.repeat(np.arange(max(1, len(targets))), len(readings))  # every target in every configuration
     readings = np.tile(readings, (max(1, len(targets)), 1))
     covariates = {name: np.tile(values, max(1, len(targets))) for name, values in covariates.items()}
     label = np.array(targets)[which] if targets else None
-    R, p, J_a = _looked_at(first, readings, covariates, label, a)
-    R_b, p_b, J_b = _looked_at(second, readings, covariates, label, b)
+    R, p, J_a = _poses_and_jacobian(first, readings, covariates, label, a)
+    R_b, p_b, J_b = _poses_and_jacobian(second, readings, covariates, label, b)
     bodies = _bodies(R, p, which, frozenset(frames), turns)
-    d = _aligned((R, p), (R_b, p_b), which, bodies, frozenset(frames), turns)
+    d = _difference_of_poses((R, p), (R_b, p_b), which, bodies, frozenset(frames), turns)
     J = _columns(J_a, turns), _columns(J_b, turns)
     flat = bodies.reshape(d.size, -1)
     return BothPoses(readings, turns, (first, second), J, d.ravel(), flat, frames, tuple(notices))
@@ -98,16 +98,16 @@ def _targets(a: SavedModel, b: SavedModel) -> tuple[str, ...]:
     """
     if not a.final.model.robot.others:
         return ()
-    mine, other = ([label for label, _ in saved.final.model.tip_target if label is not None] for saved in (a, b))
-    if mine and other and not set(mine) & set(other):
+    first, other = ([label for label, _ in saved.final.model.tip_target if label is not None] for saved in (a, b))
+    if first and other and not set(first) & set(other):
         raise AridcalError(
-            f"the calibrations have no target in common: one has {listed(mine)}, the other {listed(other)}. Call what is on one "
+            f"the calibrations have no target in common: one has {listed(first)}, the other {listed(other)}. Call what is on one "
             "link alike in both"
         )
-    return tuple(label for label in mine if label in other)
+    return tuple(label for label in first if label in other)
 
 
-def _moved(solved: SolvedModel, by: Mapping[str, float]) -> SolvedModel:
+def _with_added(solved: SolvedModel, by: Mapping[str, float]) -> SolvedModel:
     """A solved model with something added to coefficients."""
     names = solved.model.names
     return replace(solved, theta=solved.theta + np.array([by.get(name, 0.0) for name in names]))
@@ -123,13 +123,13 @@ def _check_same_arm(a: SavedModel, b: SavedModel) -> None:
         )
 
 
-def _drawn(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Configurations where both saw the robot, shape (M, columns), and what effects and their rivals depend on besides."""
+def _draw_configurations(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Configurations in the ranges of both, shape (M, columns), and further covariates of effects and their rivals."""
     robot = a.final.model.robot
-    needed = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
-    columns = [*robot.readings, *needed]
+    covariates = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
+    columns = [*robot.readings, *covariates]
     unit = qmc.Sobol(len(columns), seed=0).random(CONFIGURATIONS)
-    drawn = {}
+    samples = {}
     for share, name in zip(unit.T, columns, strict=True):
         ends = [saved.seen[name] for saved in (a, b) if name in saved.seen]
         low, high = (max(e[0] for e in ends), min(e[1] for e in ends)) if ends else (0.0, 0.0)
@@ -145,8 +145,8 @@ def _drawn(a: SavedModel, b: SavedModel, notices: list[str]) -> tuple[np.ndarray
             low = high = (low + high) / 2
         if name.endswith("_direction") and low < high:
             share = np.round(share)  # a side is one of two
-        drawn[name] = low + share * (high - low)
-    return np.column_stack([drawn.pop(name) for name in robot.readings]), drawn
+        samples[name] = low + share * (high - low)
+    return np.column_stack([samples.pop(name) for name in robot.readings]), samples
 
 
 def _in_one_place(
@@ -157,7 +157,7 @@ def _in_one_place(
     Args:
         a: The first.
         b: The second.
-        targets: Those that are compared; none: the first one's frame is that of all.
+        targets: Labels of the targets that are compared; none: the first target's frame serves for all.
 
     Returns:
         Both, and how far apart they have each frame that is not known to be the same, [m] and [rad].
@@ -167,12 +167,12 @@ def _in_one_place(
     anew = {}
     changes: dict[str, Any] = {}
     for where in ("world_base", "tip_target"):
-        mine, other = getattr(first, where), getattr(second, where)
-        of_targets = dict(mine) if where == "tip_target" and targets else {}
+        frames_a, frames_b = getattr(first, where), getattr(second, where)
+        of_targets = dict(frames_a) if where == "tip_target" and targets else {}
         pairs = (
-            [(of_targets[label], dict(other)[label]) for label in targets]
+            [(of_targets[label], dict(frames_b)[label]) for label in targets]
             if of_targets
-            else [(mine[0][1], other[0][1])]
+            else [(frames_a[0][1], frames_b[0][1])]
         )
         steps = [one.inverse() * another for one, another in pairs]
         apart = (
@@ -180,14 +180,14 @@ def _in_one_place(
             max(float(Rotation.from_matrix(step.rotation).magnitude()) for step in steps),
         )
         fitted = any(c.where == where and c.basis.constant for model, _ in models for c in model.coefficients)
-        if fitted or max(apart) > SETTLED:
+        if fitted or max(apart) > LAST_STEP:
             anew[where] = apart
-            changes[where] = tuple((label, of_targets.get(label, mine[0][1])) for label, _ in other)
-    moved = replace(second, **changes)
-    return SolvedModel(first, theta_a, a.covariance), SolvedModel(moved, theta_b, b.covariance), anew
+            changes[where] = tuple((label, of_targets.get(label, frames_a[0][1])) for label, _ in frames_b)
+    second_moved = replace(second, **changes)
+    return SolvedModel(first, theta_a, a.covariance), SolvedModel(second_moved, theta_b, b.covariance), anew
 
 
-def _looked_at(
+def _poses_and_jacobian(
     solved: SolvedModel,
     readings: np.ndarray,
     covariates: Mapping[str, np.ndarray],
@@ -204,8 +204,8 @@ def _looked_at(
 
 def _columns(J: np.ndarray, turns: bool) -> np.ndarray:
     """Columns of all numbers, shape (M * 6, K), or (M * 3, K) of positions alone, from a Jacobian (M, 6, K)."""
-    own = J if turns else J[:, :3]
-    return own.reshape(-1, J.shape[2])
+    rows = J if turns else J[:, :3]
+    return rows.reshape(-1, J.shape[2])
 
 
 def _bodies(R: np.ndarray, p: np.ndarray, which: np.ndarray, anew: frozenset[str], turns: bool) -> np.ndarray:
@@ -219,13 +219,13 @@ def _bodies(R: np.ndarray, p: np.ndarray, which: np.ndarray, anew: frozenset[str
             np.concatenate([np.concatenate([eye, 0.0 * eye], axis=1), np.concatenate([cross, eye], axis=1)], axis=2)
         ]
     if "tip_target" in anew:
-        own = np.concatenate([np.concatenate([R, 0.0 * R], axis=1), np.concatenate([0.0 * R, R], axis=1)], axis=2)
-        parts += [own * (which == k)[:, None, None] for k in range(which.max() + 1)]
-    found = np.concatenate(parts, axis=2)
-    return found if turns else found[:, :3]
+        on_tool = np.concatenate([np.concatenate([R, 0.0 * R], axis=1), np.concatenate([0.0 * R, R], axis=1)], axis=2)
+        parts += [on_tool * (which == k)[:, None, None] for k in range(which.max() + 1)]
+    motions = np.concatenate(parts, axis=2)
+    return motions if turns else motions[:, :3]
 
 
-def _aligned(
+def _difference_of_poses(
     first: tuple[np.ndarray, np.ndarray],
     second: tuple[np.ndarray, np.ndarray],
     which: np.ndarray,
@@ -233,26 +233,26 @@ def _aligned(
     anew: frozenset[str],
     turns: bool,
 ) -> np.ndarray:
-    """What differs after base and targets of the second were moved so that both agree best, shape (M, 6 or 3).
+    """Second minus first after base and targets of the second were moved so that both agree best, shape (M, 6 or 3).
 
     Gauss-Newton: what a motion leaves is small enough for one linear step only after it was taken off.
     """
     (R, p), (R_b, p_b) = first, second
     base, tool = np.zeros(6), np.zeros((which.max() + 1, 6))
     flat = bodies.reshape(-1, bodies.shape[2])
-    for _ in range(STEPS):
-        there = p_b + np.einsum("nij,nj->ni", R_b, tool[which, :3])
-        turned = R_b @ Rotation.from_rotvec(tool[:, 3:]).as_matrix()[which]
+    for _ in range(ALIGNMENT_STEPS):
+        places = p_b + np.einsum("nij,nj->ni", R_b, tool[which, :3])
+        rotations = R_b @ Rotation.from_rotvec(tool[:, 3:]).as_matrix()[which]
         turn = Rotation.from_rotvec(base[3:]).as_matrix()
-        there, turned = there @ turn.T + base[:3], turn @ turned
-        d = there - p
+        places, rotations = places @ turn.T + base[:3], turn @ rotations
+        d = places - p
         if turns:
-            d = np.hstack([d, Rotation.from_matrix(turned @ R.transpose(0, 2, 1)).as_rotvec()])
+            d = np.hstack([d, Rotation.from_matrix(rotations @ R.transpose(0, 2, 1)).as_rotvec()])
         if not anew:
             break
         step = np.linalg.lstsq(flat, -d.ravel(), rcond=None)[0]
         base += step[:6] if "world_base" in anew else 0.0
         tool += step[-tool.size :].reshape(-1, 6) if "tip_target" in anew else 0.0
-        if np.abs(step).max() < SETTLED:
+        if np.abs(step).max() < LAST_STEP:
             break
     return np.asarray(d)

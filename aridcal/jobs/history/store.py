@@ -143,16 +143,16 @@ def read_runs(folder: Path) -> Runs:
 
 def tables_below(folder: Path) -> list[Path]:
     """Tables of fleets in a folder and below it, sorted; what is hidden, half written for instance, is none."""
-    found = []
+    tables = []
     for here, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         if FILE in names and (Path(here) / FILE).is_file():
-            found.append(Path(here) / FILE)
-    return found
+            tables.append(Path(here) / FILE)
+    return tables
 
 
 def _duckdb() -> Any:
-    """DuckDB, which only those have who asked for it."""
+    """DuckDB, an extra that is imported where it is needed."""
     try:
         import duckdb
     except ImportError:
@@ -160,9 +160,9 @@ def _duckdb() -> Any:
     return duckdb
 
 
-def _answer(database: duckdb.DuckDBPyConnection, asked: str) -> pd.DataFrame:
-    """What is found, as plain rows: its versions have different ways to tables."""
-    rows = database.execute(asked).fetchall()
+def _answer(database: duckdb.DuckDBPyConnection, query: str) -> pd.DataFrame:
+    """The answer to a query, made from plain rows: versions of DuckDB have different ways to tables."""
+    rows = database.execute(query).fetchall()
     return pd.DataFrame(rows, columns=[name for name, *_ in database.description or ()])
 
 
@@ -176,6 +176,6 @@ def _table(file: Path) -> pa.Table:
             raise AridcalError(f"{file}: is no table of a fleet: it lacks {listed(missing)}. Run `aridcal fleet` again")
         table = stored.read(sorted(COLUMNS))
     except (pa.ArrowException, OSError) as problem:
-        said = shortened(str(problem), 200)
-        raise AridcalError(f"{file}: cannot be read ({said}). Run `aridcal fleet` again, or delete it") from None
+        reason = shortened(str(problem), 200)
+        raise AridcalError(f"{file}: cannot be read ({reason}). Run `aridcal fleet` again, or delete it") from None
     return table.append_column("place", pa.array(range(len(table)), pa.int64()))

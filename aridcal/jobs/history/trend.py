@@ -32,22 +32,21 @@ from scipy.stats import norm
 YEAR = 365.25
 """[d]"""
 
-FEWEST = 5
-"""Runs at the least of which a change can be told from a yearly cycle: a constant, the cycle's two numbers, a change, and one
-more."""
+FEWEST_RUNS = 5
+"""Fewest runs of which a change can be told from a yearly cycle: a constant, the cycle's two numbers, a change, and one more."""
 
-TOLD = 0.01
+TELLABLE_SHARE = 0.01
 """Share of a column's squares that the cycle must leave: what it all but makes up would be told by the cycle's shape alone."""
 
-SHAPE = 0.2
+CYCLE_SHAPE_ERROR = 0.2
 """Share of a cycle's amplitude by which it may be off from a sine: the second harmonic of monthly means of temperatures reaches a
 tenth in a temperate climate, heated halls have more."""
 
-GRID = 400
+GRID_TIMES = 400
 """Times at which a drift may have begun: a day each of a year."""
 
-SURE = 0.95
-"""Of the interval in which it began."""
+INTERVAL_PROBABILITY = 0.95
+"""Of the interval in which a drift or a jump began."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ class Series:
 
     Attributes:
         day: When each was measured, [d], shape (n,).
-        value: Shape (n,), [m] or [rad].
+        value: Of the constant, shape (n,), [m] or [rad].
         std: 1-sigma, shape (n,).
     """
 
@@ -67,11 +66,11 @@ class Series:
 
 @dataclass(frozen=True)
 class Cycle:
-    """What is known of a yearly cycle from other robots: its two numbers, with what they scatter by from robot to robot.
+    """A yearly cycle as other robots show it: its two numbers, and their scatter from robot to robot.
 
     Attributes:
-        mean: Of the cosine and of the sine of the day, [m] or [rad].
-        std: Likewise.
+        mean: Amplitudes of cosine and sine of the day, [m] or [rad].
+        std: Scatter of both, likewise.
     """
 
     mean: tuple[float, float]
@@ -80,13 +79,13 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Whether anything but a yearly cycle is there.
+    """Whether a series shows anything but a yearly cycle.
 
     Attributes:
         p_value: Chance of as much where there is nothing, for all shapes of this series together; 1 if it cannot be told.
-        p_any: The same with a yearly cycle counted as a change, too.
-        shapes: How many were looked at.
-        squares: What a constant and a cycle leave, in sigmas, and the freedom of that.
+        p_any: Chance likewise, with a yearly cycle counted as a change, too.
+        shapes: Number of shapes that were tried.
+        squares: Sum of squares that a constant and a cycle leave, in sigmas, and its degrees of freedom.
     """
 
     p_value: float
@@ -97,17 +96,17 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Change:
-    """What a series shows, if it shows a change.
+    """A change that a series shows.
 
     Attributes:
         kind: ``drift``, ``jump`` or ``odd run``.
-        began: When, [d]; of a jump the middle of the interval, of an odd run its day.
+        began: Day of the beginning, [d]; of a jump the middle of the interval, of an odd run its day.
         low: Earliest day of the interval.
-        high: Latest.
+        high: Latest day of the interval.
         before_first: True if it may have begun before the first run.
-        size: Per day of a drift, of a jump or an odd run the size, [m] or [rad].
-        std: Of that.
-        so_far: What it has come to at the last run; of an odd run 0.
+        size: Of a jump or an odd run, of a drift per day, [m] or [rad].
+        std: Sigma of the size.
+        so_far: Change until the last run, [m] or [rad]; of an odd run 0.
     """
 
     kind: str
@@ -121,10 +120,10 @@ class Change:
 
 
 def evidence(series: Series) -> Evidence:
-    """Evidence one series for a change."""
+    """The evidence of one series for a change."""
     n, weight = len(series.day), 1.0 / series.std
     steady = _Steady(weight, np.ones((n, 1)), series.value)
-    if n < FEWEST:
+    if n < FEWEST_RUNS:
         return Evidence(1.0, _p_of_pairs(series), 1, (steady.squares(), n - 1))
     always = with_cycle(series.day)
     shapes = _shapes(series.day)
@@ -133,67 +132,75 @@ def evidence(series: Series) -> Evidence:
     best = shapes[:, [int(np.argmax(np.abs(z)))]]
     columns = np.hstack([always, best]) * weight[:, None]
     amplitude = float(np.hypot(*np.linalg.lstsq(columns, series.value * weight, rcond=1e-10)[0][1:3]))
-    blurred = 1.0 / np.hypot(series.std, SHAPE * amplitude / np.sqrt(2.0))  # of a wave the RMS
+    blurred = 1.0 / np.hypot(series.std, CYCLE_SHAPE_ERROR * amplitude / np.sqrt(2.0))  # of a wave the RMS
     z = _Steady(blurred, always, series.value).scores(shapes)
     z_any = steady.scores(np.hstack([shapes, always[:, 1:]]))
     return Evidence(_bonferroni(z), _bonferroni(z_any), int(np.sum(z != 0.0)), (beside.squares(), n - always.shape[1]))
 
 
 def dated(series: Series, cycle: Cycle | None = None) -> Change:
-    """What changed and when, as far as the series tells; only of use where :func:`evidence` says that something did.
+    """The likeliest change of a series; only of use where :func:`evidence` says that there is one.
 
     Args:
         series: One constant.
-        cycle: What is known of its yearly cycle; None: nothing, and there may be none.
+        cycle: Prior of the yearly cycle; None: nothing is known, and there may be none.
     """
     n, day = len(series.day), series.day
     span, weight = day[-1] - day[0], 1.0 / series.std
     ways = [_Steady(weight, np.ones((n, 1)), series.value)]
-    if n >= FEWEST:
-        ways = [*ways, _Steady(weight, with_cycle(day), series.value)] if cycle is None else [_known(series, cycle)]
-    grid = np.linspace(day[0], day[-1], GRID, endpoint=False)
+    if n >= FEWEST_RUNS:
+        ways = (
+            [*ways, _Steady(weight, with_cycle(day), series.value)]
+            if cycle is None
+            else [_with_cycle_known(series, cycle)]
+        )
+    grid = np.linspace(day[0], day[-1], GRID_TIMES, endpoint=False)
     columns = {"drift": _hinges(day, grid), "jump": _steps(day), "odd run": np.eye(n)}
     # a flat prior in time: a grid point of a drift has its part of the span, a jump the gap that it lies in
-    prior = {"drift": np.full(GRID, 1.0 / GRID), "jump": np.diff(day) / span, "odd run": np.full(n, 1.0 / n)}
-    left = {kind: [way.squares() - way.scores(columns[kind]) ** 2 for way in ways] for kind in columns}
-    least = min(float(squares.min()) for of_kind in left.values() for squares in of_kind)
+    prior = {
+        "drift": np.full(GRID_TIMES, 1.0 / GRID_TIMES),
+        "jump": np.diff(day) / span,
+        "odd run": np.full(n, 1.0 / n),
+    }
+    squares_left = {kind: [way.squares() - way.scores(columns[kind]) ** 2 for way in ways] for kind in columns}
+    least = min(float(squares.min()) for of_kind in squares_left.values() for squares in of_kind)
     scale = max(1.0, least / max(n - ways[-1].count - 2, 1))  # what scatters more is known less
     prices = [0.5 * way.count * np.log(n) for way in ways]
-    weighed = {}
+    log_posterior = {}
     for kind in columns:
-        log = [-0.5 * squares / scale - price for squares, price in zip(left[kind], prices, strict=True)]
+        log = [-0.5 * squares / scale - price for squares, price in zip(squares_left[kind], prices, strict=True)]
         with np.errstate(divide="ignore"):
-            weighed[kind] = np.logaddexp.reduce(log, axis=0) + np.log(prior[kind])
-    kind = max(weighed, key=lambda k: float(np.logaddexp.reduce(weighed[k])))
-    share = np.exp(weighed[kind] - np.logaddexp.reduce(weighed[kind]))
-    at = int(np.argmax(share))
-    column = columns[kind][:, at]
+            log_posterior[kind] = np.logaddexp.reduce(log, axis=0) + np.log(prior[kind])
+    kind = max(log_posterior, key=lambda k: float(np.logaddexp.reduce(log_posterior[k])))
+    share = np.exp(log_posterior[kind] - np.logaddexp.reduce(log_posterior[kind]))
+    most_likely = int(np.argmax(share))
+    column = columns[kind][:, most_likely]
     if kind == "odd run":
-        low = began = high = float(day[at])
+        low = began = high = float(day[most_likely])
     elif kind == "jump":
         low, _, high = _quantiles(day, share)
-        began = float(day[at] + day[at + 1]) / 2.0
-        low, high = min(low, float(day[at])), max(high, float(day[at + 1]))
+        began = float(day[most_likely] + day[most_likely + 1]) / 2.0
+        low, high = min(low, float(day[most_likely])), max(high, float(day[most_likely + 1]))
     else:
         low, began, high = _quantiles(np.append(grid, day[-1]), share)
         column = _hinges(day, np.array([began]))[:, 0]
     best = min(zip(ways, prices, strict=True), key=lambda pair: pair[0].size(column)[2] / scale + 2.0 * pair[1])[0]
     size, std, _ = best.size(column)
-    first = bool(kind == "drift" and low <= day[0] + span / GRID)
+    first = bool(kind == "drift" and low <= day[0] + span / GRID_TIMES)
     so_far = 0.0 if kind == "odd run" else size * float(column[-1])
     return Change(kind, began, low, high, first, size, float(np.sqrt(scale)) * std, so_far)
 
 
 @dataclass(frozen=True)
 class _Steady:
-    """What is always there, and the values.
+    """The steady part of a series, and its values.
 
     Attributes:
         weight: 1 over the sigma of each run, shape (n,).
-        N: Columns, shape (n, k).
+        N: Columns of the steady part, shape (n, k).
         value: Shape (n,).
-        prior: Rows of unit noise that say what is known of the coefficients, shape (m, k).
-        wanted: What these should be, shape (m,).
+        prior: Rows of unit noise that hold what is known of the coefficients, shape (m, k).
+        wanted: Values of these rows, shape (m,).
     """
 
     weight: np.ndarray
@@ -204,7 +211,7 @@ class _Steady:
 
     @property
     def count(self) -> int:
-        """Coefficients that only these runs tell."""
+        """Number of coefficients that these runs alone tell."""
         return self.N.shape[1] - (0 if self.prior is None else len(self.prior))
 
     @cached_property
@@ -217,33 +224,35 @@ class _Steady:
         return Q, x - Q @ (Q.T @ x)
 
     def squares(self) -> float:
-        """What it leaves."""
+        """Sum of squares that the steady part leaves, in sigmas."""
         return float(np.sum(self._orthonormal[1] ** 2))
 
     def beside(self, columns: np.ndarray) -> np.ndarray:
-        """Columns (n, G) in sigmas less what it makes up of them."""
+        """Columns (n, G) in sigmas less what the steady part explains of them."""
         Q, x = self._orthonormal
         g = np.zeros((len(x), columns.shape[1]))
         g[: len(self.weight)] = columns * self.weight[:, None]
         return np.asarray(g - Q @ (Q.T @ g))
 
     def scores(self, columns: np.ndarray) -> np.ndarray:
-        """Z of each of some columns (n, G) beside it, shape (G,); 0 where it all but makes one up."""
-        own = self.beside(columns)
-        left = np.sum(own**2, axis=0)
+        """Z of each column (n, G) beside the steady part, shape (G,); 0 where that explains all but a little of the column."""
+        residual = self.beside(columns)
+        remaining = np.sum(residual**2, axis=0)
         size = np.sum(((columns - columns.mean(axis=0)) * self.weight[:, None]) ** 2, axis=0)
-        told = left > TOLD * np.maximum(size, np.finfo(float).tiny)
-        return np.asarray(np.where(told, own.T @ self._orthonormal[1] / np.sqrt(np.where(told, left, 1.0)), 0.0))
+        tellable = remaining > TELLABLE_SHARE * np.maximum(size, np.finfo(float).tiny)
+        return np.asarray(
+            np.where(tellable, residual.T @ self._orthonormal[1] / np.sqrt(np.where(tellable, remaining, 1.0)), 0.0)
+        )
 
     def size(self, column: np.ndarray) -> tuple[float, float, float]:
-        """Size of one column (n,) beside it, its sigma, and the squares that both leave."""
-        own = self.beside(column[:, None])[:, 0]
-        left, pull = max(float(own @ own), np.finfo(float).tiny), float(own @ self._orthonormal[1])
-        return pull / left, 1.0 / np.sqrt(left), self.squares() - pull**2 / left
+        """Size of one column (n,) beside the steady part, its sigma, and the squares that both leave."""
+        residual = self.beside(column[:, None])[:, 0]
+        remaining, pull = max(float(residual @ residual), np.finfo(float).tiny), float(residual @ self._orthonormal[1])
+        return pull / remaining, 1.0 / np.sqrt(remaining), self.squares() - pull**2 / remaining
 
 
-def _known(series: Series, cycle: Cycle) -> _Steady:
-    """A constant, and a cycle of which something is known."""
+def _with_cycle_known(series: Series, cycle: Cycle) -> _Steady:
+    """A constant, and a cycle with a prior."""
     root = 1.0 / np.asarray(cycle.std)
     prior = np.hstack([np.zeros((2, 1)), np.diag(root)])
     return _Steady(1.0 / series.std, with_cycle(series.day), series.value, prior, root * np.asarray(cycle.mean))
@@ -267,7 +276,7 @@ def _steps(day: np.ndarray) -> np.ndarray:
 
 
 def _shapes(day: np.ndarray) -> np.ndarray:
-    """All changes that are looked for, shape (n, G): none twice, for an odd last run is a jump."""
+    """All changes that are tried, shape (n, G), none twice: an odd last run is a jump."""
     return np.hstack([_hinges(day, day[:-2]), _steps(day), np.eye(len(day))[:, 1:-1]])
 
 
@@ -278,7 +287,7 @@ def _bonferroni(z: np.ndarray) -> float:
 
 
 def _p_of_pairs(series: Series) -> float:
-    """Of few runs: whether they differ at all, each pair compared (Bonferroni)."""
+    """p-value of few runs: whether any pair of them differs (Bonferroni)."""
     x, s = series.value, series.std
     a, b = np.triu_indices(len(x), 1)
     return _bonferroni((x[a] - x[b]) / np.hypot(s[a], s[b]))
@@ -287,5 +296,7 @@ def _p_of_pairs(series: Series) -> float:
 def _quantiles(edges: np.ndarray, share: np.ndarray) -> tuple[float, float, float]:
     """Low, middle and high of a density that is flat in each bin."""
     total = np.concatenate([[0.0], np.cumsum(share)])
-    low, middle, high = np.interp([(1 - SURE) / 2, 0.5, (1 + SURE) / 2], total / total[-1], edges)
+    low, middle, high = np.interp(
+        [(1 - INTERVAL_PROBABILITY) / 2, 0.5, (1 + INTERVAL_PROBABILITY) / 2], total / total[-1], edges
+    )
     return float(low), float(middle), float(high)

@@ -28,16 +28,16 @@ import pandas as pd
 from scipy.stats import chi2
 
 from aridcal.jobs.history.store import Runs
-from aridcal.jobs.history.trend import FEWEST, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
+from aridcal.jobs.history.trend import FEWEST_RUNS, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.system.errors import AridcalError, nearest
 from aridcal.system.wording import number
 
-LOOKS = 12
-"""Times at the least that a season is looked at: once a month."""
+LOOKS_PER_SEASON = 12
+"""Fewest looks at a season that its chances allow for: once a month."""
 
-ENOUGH = 8
-"""Robots of which the scatter, or the cycle, of one constant is known by itself: a median of eight is good to 40 %."""
+FEWEST_ROBOTS = 8
+"""Fewest robots for a scatter or a cycle of one constant by itself: a median of eight is good to 40 %."""
 
 MAD = 1.4826
 """Times the median of absolute deviations: the sigma of a normal distribution."""
@@ -59,10 +59,10 @@ class Watched:
         name: Of the constant.
         unit: m or rad.
         series: Its values; ``std`` with the fleet's scatter.
-        shows: What it shows.
+        shows: Evidence of a change.
         p_value: Of a change, for all series of the fleet and all looks of a season.
-        p_any: The same with a yearly cycle counted as one.
-        change: What changed; None without an alarm.
+        p_any: Likewise, with a yearly cycle counted as a change.
+        change: The change; None without an alarm.
     """
 
     robot: str
@@ -76,12 +76,12 @@ class Watched:
 
     @property
     def alarm(self) -> bool:
-        """Whether it changed, and no yearly cycle explains that."""
+        """Whether the constant changed, and no yearly cycle explains that."""
         return self.change is not None
 
     @property
     def cycles(self) -> bool:
-        """Whether it moved in a way that a yearly cycle explains as well: nobody can tell yet."""
+        """Whether the constant moved in a way that a yearly cycle explains as well: nobody can tell yet."""
         return not self.alarm and self.p_any < FALSE_ALARMS
 
 
@@ -94,7 +94,7 @@ class RobotHistory:
         runs: Its rows of :attr:`Runs.runs`.
         errors: Its rows of :attr:`Runs.errors`, with ``measured``.
         watched: Its constants, the likeliest change first.
-        notices: What is to be known of it.
+        notices: What a reader should know of it.
     """
 
     name: str
@@ -115,14 +115,14 @@ class RobotHistory:
 
     def error(self, stage: str) -> tuple[str, np.ndarray]:
         """RMS of the first channel on held-out rows, run by run, and the channel's name; NaN where a run has none."""
-        own = self.errors[self.errors["stage"] == stage]
-        if not len(own):
+        of_stage = self.errors[self.errors["stage"] == stage]
+        if not len(of_stage):
             return "", np.zeros(0)
-        channel = str(own["channel"].iloc[0])
-        return channel, own.loc[own["channel"] == channel, "rms"].to_numpy(dtype=float)
+        channel = str(of_stage["channel"].iloc[0])
+        return channel, of_stage.loc[of_stage["channel"] == channel, "rms"].to_numpy(dtype=float)
 
     def last_error(self, stage: str) -> str:
-        """The last of these, with its unit; a dash where there is none."""
+        """The last run's error, with its unit; a dash where there is none."""
         channel, errors = self.error(stage)
         return f"{number(float(errors[-1]))} {channel.rsplit('_', 1)[-1]}" if len(errors) else "–"
 
@@ -138,9 +138,9 @@ class History:
 
     Attributes:
         robots: The worst first.
-        series: How many series were looked at.
-        scatter: Times its sigma that each constant scatters by.
-        files: That were read.
+        series: Number of series that were looked at.
+        scatter: Scatter of each constant, in units of its sigma.
+        files: Tables that were read.
     """
 
     robots: tuple[RobotHistory, ...]
@@ -165,27 +165,31 @@ def history(of: Runs, only: str | None = None) -> History:
     constants: dict[Any, pd.DataFrame] = dict(iter(of.constants.groupby("run", sort=False)))
     robots = {}
     for name, runs in of.runs.groupby("robot", sort=True):
-        kept, notices = _one_gauge(runs, constants)
-        robots[str(name)] = (runs, _series(kept, constants), notices)
-    every = [(name, constant, unit, series) for name, (_, own, _) in robots.items() for constant, unit, series in own]
-    scatter = _scatter(every)
-    every = [(r, c, unit, replace(s, std=scatter[c] * s.std)) for r, c, unit, s in every]
-    cycles = _cycles(every)
+        comparable, notices = _one_gauge(runs, constants)
+        robots[str(name)] = (runs, _series(comparable, constants), notices)
+    all_series = [
+        (name, constant, unit, series)
+        for name, (_, by_chance, _) in robots.items()
+        for constant, unit, series in by_chance
+    ]
+    scatter = _scatter(all_series)
+    all_series = [(r, c, unit, replace(s, std=scatter[c] * s.std)) for r, c, unit, s in all_series]
+    cycles = _cycles(all_series)
     watched: dict[str, list[Watched]] = {name: [] for name in robots}
-    for robot, constant, unit, series in every:
-        watched[robot].append(_watched(robot, constant, unit, series, len(every), cycles.get(constant)))
-    found = []
+    for robot, constant, unit, series in all_series:
+        watched[robot].append(_judged(robot, constant, unit, series, len(all_series), cycles.get(constant)))
+    histories = []
     for name, (runs, _, notices) in robots.items():
         errors = of.errors.merge(runs[["run", "measured"]], on="run")
-        own = sorted(watched[name], key=lambda w: (w.p_value, w.shows.p_value, w.p_any))
-        found.append(RobotHistory(name, runs, errors, tuple(own), tuple(notices)))
-    found.sort(key=_badness)
-    shown = [robot for robot in found if only in (None, robot.name)]
-    return History(tuple(shown), len(every), scatter, tuple(map(str, of.files)))
+        by_chance = sorted(watched[name], key=lambda w: (w.p_value, w.shows.p_value, w.p_any))
+        histories.append(RobotHistory(name, runs, errors, tuple(by_chance), tuple(notices)))
+    histories.sort(key=_badness)
+    shown = [robot for robot in histories if only in (None, robot.name)]
+    return History(tuple(shown), len(all_series), scatter, tuple(map(str, of.files)))
 
 
 def _badness(robot: RobotHistory) -> tuple[int, float, int, float, str]:
-    """What robots are sorted by: alarms, the surest first, then what may be the season, then their last error."""
+    """Sort key of robots: alarms, the surest first, then what may be the season, then the last error."""
     _, errors = robot.error("final")
     last = float(errors[-1]) if len(errors) and np.isfinite(errors[-1]) else 0.0
     least = min((w.shows.p_value for w in robot.alarms), default=1.0)
@@ -193,24 +197,24 @@ def _badness(robot: RobotHistory) -> tuple[int, float, int, float, str]:
 
 
 def _one_gauge(runs: pd.DataFrame, constants: Mapping[Any, pd.DataFrame]) -> tuple[pd.DataFrame, list[str]]:
-    """Runs of one robot that can be compared, and what is to be said of the others."""
-    failed = runs[runs["status"] != "done"]
-    notices = [f"{len(failed)} of {len(runs)} runs failed: {failed['error'].iloc[-1]}"] if len(failed) else []
+    """Runs of one robot that can be compared, and notices of the others."""
+    failures = runs[runs["status"] != "done"]
+    notices = [f"{len(failures)} of {len(runs)} runs failed: {failures['error'].iloc[-1]}"] if len(failures) else []
     done = runs[runs["status"] == "done"]
     gauges: dict[tuple[str, frozenset[str]], list[int]] = {}
     for place, (run, urdf) in enumerate(zip(done["run"], done["urdf"], strict=True)):
-        own = constants.get(run)
-        told = frozenset(own["name"]) if own is not None else frozenset()
-        gauges.setdefault((str(urdf), told), []).append(place)
+        of_run = constants.get(run)
+        names = frozenset(of_run["name"]) if of_run is not None else frozenset()
+        gauges.setdefault((str(urdf), names), []).append(place)
     if not gauges:
         return done, notices
-    most = max(gauges.values(), key=lambda places: (len(places), places[-1]))
-    if len(most) < len(done):
+    best = max(gauges.values(), key=lambda places: (len(places), places[-1]))
+    if len(best) < len(done):
         notices.append(
-            f"{len(done) - len(most)} of {len(done)} runs told other constants, or were of another nominal URDF: their constants "
+            f"{len(done) - len(best)} of {len(done)} runs told other constants, or were of another nominal URDF: their constants "
             "stand for other motions and are not compared; measure the same configurations every time"
         )
-    return done.iloc[most], notices
+    return done.iloc[best], notices
 
 
 def _series(runs: pd.DataFrame, constants: Mapping[Any, pd.DataFrame]) -> list[tuple[str, str, Series]]:
@@ -230,47 +234,47 @@ def _series(runs: pd.DataFrame, constants: Mapping[Any, pd.DataFrame]) -> list[t
     ]
 
 
-def _scatter(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, float]:
-    """Times its sigma that each constant scatters by, never below 1."""
+def _scatter(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, float]:
+    """Scatter of each constant in units of its sigma, never below 1."""
     ratios: dict[str, list[float]] = {}
-    for _, constant, _, series in every:
+    for _, constant, _, series in all_series:
         squares, freedom = evidence(series).squares
         if freedom > 0:
             ratios.setdefault(constant, []).append(squares / float(chi2.median(freedom)))
     pooled = [ratio for own in ratios.values() for ratio in own]
-    together = float(np.median(pooled)) if pooled else 1.0
+    overall = float(np.median(pooled)) if pooled else 1.0
     return {
         constant: float(
-            np.sqrt(max(1.0, np.median(own) if len(own := ratios.get(constant, [])) >= ENOUGH else together))
+            np.sqrt(max(1.0, np.median(own) if len(own := ratios.get(constant, [])) >= FEWEST_ROBOTS else overall))
         )
-        for constant in {constant for _, constant, _, _ in every}
+        for constant in {constant for _, constant, _, _ in all_series}
     }
 
 
-def _cycles(every: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cycle]:
-    """What the robots of the fleet have in common of the yearly cycle of each constant, where there are enough of them."""
+def _cycles(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cycle]:
+    """The yearly cycle of each constant that the robots of the fleet have in common, where there are enough of them."""
     fitted: dict[str, list[np.ndarray]] = {}
-    for _, constant, _, series in every:
-        if len(series.day) >= FEWEST:
+    for _, constant, _, series in all_series:
+        if len(series.day) >= FEWEST_RUNS:
             A = with_cycle(series.day) / series.std[:, None]
             inverse = np.linalg.pinv(A)
             theta, std = inverse @ (series.value / series.std), np.sqrt(np.sum(inverse**2, axis=1))
             fitted.setdefault(constant, []).append(np.concatenate([theta[1:], std[1:]]))
-    found = {}
-    for constant, own in fitted.items():
-        if len(own) >= ENOUGH:
-            values = np.array(own)
+    fleet_cycles = {}
+    for constant, of_constant in fitted.items():
+        if len(of_constant) >= FEWEST_ROBOTS:
+            values = np.array(of_constant)
             mean, noise = np.median(values[:, :2], axis=0), np.median(values[:, 2:], axis=0)
-            seen = MAD * np.median(np.abs(values[:, :2] - mean), axis=0)
-            spread = np.sqrt(np.maximum(seen**2 - noise**2, (LEAST_CYCLE * noise) ** 2))
-            found[constant] = Cycle((float(mean[0]), float(mean[1])), (float(spread[0]), float(spread[1])))
-    return found
+            scatter = MAD * np.median(np.abs(values[:, :2] - mean), axis=0)
+            spread = np.sqrt(np.maximum(scatter**2 - noise**2, (LEAST_CYCLE * noise) ** 2))
+            fleet_cycles[constant] = Cycle((float(mean[0]), float(mean[1])), (float(spread[0]), float(spread[1])))
+    return fleet_cycles
 
 
-def _watched(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> Watched:
-    """One series, judged as one of so many."""
+def _judged(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> Watched:
+    """One series, judged as one of ``count``."""
     shows = evidence(series)
-    looks = count * max(len(series.day), LOOKS)
+    looks = count * max(len(series.day), LOOKS_PER_SEASON)
     p_value, p_any = min(1.0, looks * shows.p_value), min(1.0, looks * shows.p_any)
     change = dated(series, cycle) if p_value < FALSE_ALARMS else None
     return Watched(robot, constant, unit, series, shows, p_value, p_any, change)

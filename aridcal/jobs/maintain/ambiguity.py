@@ -13,34 +13,34 @@ from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.maintain.hypotheses import Suspect
 from aridcal.jobs.maintain.likelihoods import Question, covariance_of, likely
-from aridcal.jobs.maintain.new_rows import LEAST
+from aridcal.jobs.maintain.new_rows import LEAST_SIGMA
 from aridcal.jobs.maintain.unknowns import Wide
 from aridcal.jobs.plan.beforehand import bodies
 from aridcal.jobs.plan.clearance import clear
 
-ALIKE = 4.0
+NOT_REFUTED_SQUARES = 4.0
 """Squares by which another cause may fit worse and still not be refuted: two sigma."""
 
-TRIED = 300
+CONFIGURATIONS_TRIED = 300
 """Configurations looked through for one that would tell two causes apart."""
 
-TELLS = 3.0
+DISTINCT_SIGMAS = 3.0
 """Sigmas by which the predictions of two causes must differ in one new row that tells them apart."""
 
 
 def alike(
-    freed: Question, named: Suspect, question: Question, left: Sequence[Suspect]
+    freed: Question, named: Suspect, question: Question, suspects: Sequence[Suspect]
 ) -> list[tuple[Suspect, Question]]:
-    """Other suspects that, free to move, explain the rows as well as the one that was named; the best first."""
+    """Other suspects that, free to move, explain the rows as well as the named cause; the best first."""
     reference = _squares(freed)
-    found = []
-    for suspect in left:
+    explanations = []
+    for suspect in suspects:
         if suspect is not named:
             other = replace(question.with_moved(suspect, suspect.sizes[-1]), times=freed.times)
             squares = _squares(other)
-            if squares < reference + ALIKE:
-                found.append((squares, suspect, other))
-    return [(suspect, other) for _, suspect, other in sorted(found, key=lambda entry: entry[0])]
+            if squares < reference + NOT_REFUTED_SQUARES:
+                explanations.append((squares, suspect, other))
+    return [(suspect, other) for _, suspect, other in sorted(explanations, key=lambda entry: entry[0])]
 
 
 def _squares(question: Question) -> float:
@@ -54,9 +54,9 @@ class Telling:
     """A configuration to measure.
 
     Attributes:
-        suspect: What it would tell apart from what was named, in words.
+        suspect: The one that it would tell from the cause, in words.
         readings: Shape (columns,), [rad] or [m].
-        joints: Those that stand farther from the rows than these reach.
+        joints: Joints that stand farther from the rows than these reach.
     """
 
     suspect: str
@@ -67,11 +67,10 @@ class Telling:
 def telling(
     saved: SavedModel, unknowns: Wide, question: Question, others: Sequence[tuple[Suspect, Question]]
 ) -> tuple[Telling, ...]:
-    """For each explanation that the rows do not refute, the configuration at which it differs most from the one named.
+    """For each suspect that the rows do not refute, the configuration at which its prediction differs most from the cause's.
 
-    Looked through are some in which the robot was calibrated, clear of itself and of what the campaign keeps it out of. What is
-    compared is the pose of the target, measured as well as the calibration's own rows; where no configuration tells, none is
-    given.
+    Candidates are configurations in which the robot was calibrated, clear of itself and of the campaign's `keep_out`. The pose
+    of the target is compared, measured as well as the calibration's own rows; where no configuration tells, none is returned.
 
     Args:
         saved: The calibration.
@@ -86,30 +85,30 @@ def telling(
     rows = _of_target(saved, unknowns, question, readings)
     _, _, J = model.jacobian(theta, rows)
     sigma = np.repeat(saved.scatter[0], 3)[: 6 if saved.turns else 3]
-    J = J[:, : len(sigma)] / (question.times * np.maximum(sigma, LEAST))[:, None]
+    J = J[:, : len(sigma)] / (question.times * np.maximum(sigma, LEAST_SIGMA))[:, None]
     named = likely(question)
     known = covariance_of(question, named)
-    found = []
+    configurations = []
     for suspect, other in others:
         place = likely(other)
-        apart = J @ (named.theta - place.theta)
-        sure = np.eye(J.shape[1]) + J @ (0.5 * (known + covariance_of(other, place))) @ J.transpose(0, 2, 1)
-        distance = np.einsum("ni,ni->n", apart, np.linalg.solve(sure, apart[:, :, None])[:, :, 0])
+        difference = J @ (named.theta - place.theta)
+        covariance = np.eye(J.shape[1]) + J @ (0.5 * (known + covariance_of(other, place))) @ J.transpose(0, 2, 1)
+        distance = np.einsum("ni,ni->n", difference, np.linalg.solve(covariance, difference[:, :, None])[:, :, 0])
         best = int(np.argmax(distance))
-        if distance[best] > TELLS**2:
-            found.append(Telling(suspect.words, readings[best], _elsewhere(question, readings[best])))
-    return tuple(found)
+        if distance[best] > DISTINCT_SIGMAS**2:
+            configurations.append(Telling(suspect.words, readings[best], _elsewhere(question, readings[best])))
+    return tuple(configurations)
 
 
 def _clear(saved: SavedModel) -> np.ndarray:
     """Readings where the robot was calibrated, in which it touches nothing, shape (n, columns)."""
     robot = saved.final.model.robot
     low, high = np.array([saved.ranges[name] for name in robot.readings]).T
-    readings = np.random.default_rng(0).uniform(low, high, (TRIED, len(low)))
+    readings = np.random.default_rng(0).uniform(low, high, (CONFIGURATIONS_TRIED, len(low)))
     boxes = (saved.campaign.design.keep_out or ()) if saved.campaign is not None else ()
     places = tip_frames(robot, readings)[1] if robot.others else joint_frames(robot, readings)[1][:, -1]
-    good = clear(robot, boxes, bodies(boxes, robot), readings, places)
-    return readings[good] if good.any() else readings
+    free = clear(robot, boxes, bodies(boxes, robot), readings, places)
+    return readings[free] if free.any() else readings
 
 
 def _of_target(saved: SavedModel, unknowns: Wide, question: Question, readings: np.ndarray) -> Rows:
@@ -117,16 +116,16 @@ def _of_target(saved: SavedModel, unknowns: Wide, question: Question, readings: 
     model, data = question.problem.model, question.problem.data
     n = len(readings)
     middle = {name: np.full(n, np.mean(saved.ranges[name])) for name in model.needs if name in saved.ranges}
-    known = [label for label, _ in saved.final.model.tip_target]
-    label = ONE_TARGET if unknowns.renamed else known[0]
+    labels = [label for label, _ in saved.final.model.tip_target]
+    label = ONE_TARGET if unknowns.renamed else labels[0]
     target = None if label is None or data.labels.target is None else np.full(n, label)
     station = None if data.labels.station is None else np.repeat(data.labels.station[:1], n)
     return model.rows(readings, middle, station, target)
 
 
 def _elsewhere(question: Question, readings: np.ndarray) -> tuple[str, ...]:
-    """Joints of a configuration that stand farther from the middle of the rows than these do from each other."""
+    """Joints of a configuration that stand farther from the middle of the rows than the rows' whole width."""
     data = question.problem.data
     middle, width = data.readings.mean(axis=0), np.ptp(data.readings, axis=0)
     far = np.abs(readings - middle) > width
-    return tuple(name for name, apart in zip(data.names, far.tolist(), strict=True) if apart)
+    return tuple(name for name, outside in zip(data.names, far.tolist(), strict=True) if outside)

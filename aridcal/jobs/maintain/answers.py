@@ -15,7 +15,7 @@ from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Change
 from aridcal.system.wording import enumerated
 
-FAR_OFF = 0.03
+LARGEST_ZERO_CHANGE = 0.03
 """[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
 then off by up to a thirtieth."""
 
@@ -28,18 +28,20 @@ def check_lines(checked: Checked, changes: Sequence[Change], settings: Measureme
 
     Args:
         checked: What the rows say.
-        changes: By how much each of what moved did so.
+        changes: Size of each move.
         settings: Of the campaign's tables: units, for a configuration to measure.
     """
     rows, error = checked.rows, checked.error
-    every = np.ones(len(rows), dtype=bool)
+    all_rows = np.ones(len(rows), dtype=bool)
     expected = " and ".join(
         f"{c.scale * s:.3g} {c.shown}"
-        for c, s, seen in zip(rows.channels, checked.noise.sigma, np.atleast_1d(rows.measures.any(axis=0)), strict=True)
-        if seen
+        for c, s, measured in zip(
+            rows.channels, checked.noise.sigma, np.atleast_1d(rows.measures.any(axis=0)), strict=True
+        )
+        if measured
     )
-    left = f"{len(rows)} rows: {said(checked.residual, every, rows)} RMS where the noise is {expected} per axis"
-    lines = [*_heat_line(checked), _verdict(checked), left if error is None else f"{left}; {_error(error)}"]
+    remainder = f"{len(rows)} rows: {said(checked.residual, all_rows, rows)} RMS where the noise is {expected} per axis"
+    lines = [*_heat_line(checked), _verdict(checked), remainder if error is None else f"{remainder}; {_error(error)}"]
     if checked.unseen:
         lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
     for change in changes:
@@ -49,34 +51,36 @@ def check_lines(checked: Checked, changes: Sequence[Change], settings: Measureme
     for cause in checked.causes:
         lines += _cause_lines(checked, cause, by_cause.get(id(cause)), settings)
     if checked.causes:
-        left = "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
-        lines.append(f"what remains {left} ({checked.rest.words})")
+        remainder = (
+            "goes with the calibration" if checked.rest.p_value >= FALSE_ALARMS else "is explained by nothing known"
+        )
+        lines.append(f"what remains {remainder} ({checked.rest.words})")
     return lines
 
 
-def left_out_line(made: RepairOutcomes) -> str:
-    """The errors of the new rows before, after, and with what moved fitted to the others alone."""
-    m = made.rows.measurements
-    every = ~made.rows.outlier & ~m.test
-    after = made.rows.stage("final").residual
-    before, now, left = (
-        said(residual, every, m) for residual in (made.rows.stage("before").residual, after, made.left_out)
+def left_out_line(outcomes: RepairOutcomes) -> str:
+    """Errors of the new rows before and after the repair, and of each row with the repair fitted to the others alone."""
+    m = outcomes.rows.measurements
+    every = ~outcomes.rows.outlier & ~m.test
+    after = outcomes.rows.stage("final").residual
+    before, repaired, without_row = (
+        said(residual, every, m) for residual in (outcomes.rows.stage("before").residual, after, outcomes.left_out)
     )
-    held = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
-    return f"error of the new rows: {before} before, {now} after, {left} where each is left out{held}"
+    held_out = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    return f"error of the new rows: {before} before, {repaired} after, {without_row} where each is left out{held_out}"
 
 
 def _heat_line(checked: Checked) -> list[str]:
-    """That the rows were measured at temperatures that the calibration did not see, and what that alone does."""
+    """A warning where the rows were measured outside the calibration's temperatures, with what heat alone does."""
     heat = checked.heat
     if heat is None:
         return []
     low, high = (f"{value:.4g}" for value in heat.rows)
-    here = low if low == high else f"{low} to {high}"
+    of_rows = low if low == high else f"{low} to {high}"
     return [
-        f"{heat.column} {here}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K more or "
-        f"less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more than that: "
-        "check at the calibration's own temperature before anything is mended"
+        f"{heat.column} {of_rows}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K "
+        f"more or less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more "
+        "than that: check at the calibration's own temperature before anything is mended"
     ]
 
 
@@ -91,26 +95,26 @@ def _error(error: Bounds) -> str:
 
 def _verdict(checked: Checked) -> str:
     """Yes or no, and how often that is wrong."""
-    odd = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
+    chance = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
     if checked.tolerance is None:
-        return f"no longer good: {odd}" if checked.contradicted else f"still good: {odd}"
+        return f"no longer good: {chance}" if checked.contradicted else f"still good: {chance}"
     limit = f"{MILLI * checked.tolerance:g} mm"
     if not checked.good:
-        return f"no longer good: the error is above {limit} ({odd})"
+        return f"no longer good: the error is above {limit} ({chance})"
     if checked.contradicted:
-        return f"good enough: the error may be within {limit}, though something moved ({odd})"
-    sure = "is" if checked.error is not None and checked.error.high <= checked.tolerance else "may be"
-    return f"still good: the error {sure} within {limit} ({odd})"
+        return f"good enough: the error may be within {limit}, though something moved ({chance})"
+    certainty = "is" if checked.error is not None and checked.error.high <= checked.tolerance else "may be"
+    return f"still good: the error {certainty} within {limit} ({chance})"
 
 
 def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
     """One cause: what, by how much, how sure, and what would tell it from another."""
-    how = f" (probability {_percent(cause.probability)})"
+    probability = f" (probability {_percent(cause.probability)})"
     if change is None:
-        return [f"odd: {cause.words}{how}"]
-    lines = [f"moved: {cause.words}, by {amount(change, checked)}{how}"]
+        return [f"odd: {cause.words}{probability}"]
+    lines = [f"moved: {cause.words}, by {amount(change, checked)}{probability}"]
     depending = any(not c.basis.always for c in checked.wide.model.coefficients)
-    if cause.kind == "zero" and abs(float(change.value[0])) > FAR_OFF and depending:
+    if cause.kind == "zero" and abs(float(change.value[0])) > LARGEST_ZERO_CHANGE and depending:
         lines.append(
             "  effects and gravity loads are those of its readings as they are: set the controller's zero by as much instead, "
             "and the calibration holds as it is"
@@ -120,14 +124,14 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings
         robot = checked.wide.model.robot
         if not cause.telling:
             lines.append("  no configuration of those tried tells them apart: either repair serves")
-        for told in cause.telling[:1]:
-            cells = counting(settings, robot.readings, robot.kinds).cells(told.readings)
+        for configuration in cause.telling[:1]:
+            cells = counting(settings, robot.readings, robot.kinds).cells(configuration.readings)
             pairs = zip(robot.readings, cells.tolist(), strict=True)
             at = ", ".join(f"{name} {value:.4g}" for name, value in pairs)
             what = "this" if checked.rows.direct else "the target's place here"
-            lines.append(f"  measure {what} to tell it from {told.suspect}: {at}")
-            if told.joints:
-                lines.append(f"  (it has {enumerated(told.joints)} where these rows do not reach)")
+            lines.append(f"  measure {what} to tell it from {configuration.suspect}: {at}")
+            if configuration.joints:
+                lines.append(f"  (it has {enumerated(configuration.joints)} where these rows do not reach)")
     return lines
 
 
@@ -139,11 +143,11 @@ def amount(change: Change, checked: Checked) -> str:
         return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
     if change.cause.kind in ("frame", "new"):
         parts = []
-        for unit, shown in (("m", "mm"), ("rad", "mrad")):
-            own = [u == unit for u in change.units]
-            if any(own):
-                size, sure = (MILLI * float(np.linalg.norm(each[own])) for each in (value, std))
-                parts.append(f"{size:.3f} ± {sure:.3f} {shown}")
+        for unit, unit_shown in (("m", "mm"), ("rad", "mrad")):
+            of_unit = [u == unit for u in change.units]
+            if any(of_unit):
+                size, uncertainty = (MILLI * float(np.linalg.norm(vector[of_unit])) for vector in (value, std))
+                parts.append(f"{size:.3f} ± {uncertainty:.3f} {unit_shown}")
         return " and ".join(parts)
     suspect = change.cause.suspect
     assert suspect is not None

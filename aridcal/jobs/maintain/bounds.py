@@ -40,12 +40,12 @@ def error_of(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, scored: np.
         residual: Shape (N, m).
         sigma: Of each channel, shape (C,).
         scored: Rows that count, shape (N,) bool.
-        taken: Numbers that what nobody knew has taken up.
+        taken: Numbers that the unknowns fit whatever was measured.
     """
     for c, (channel, part) in enumerate(zip(rows.channels, columns(rows.channels), strict=True)):
-        own = scored & rows.measures[:, c]
-        if channel.unit == "m" and own.any() and residual[own][:, part].size > taken:
-            return bounds(residual[own][:, part], float(sigma[c]), taken)
+        counting = scored & rows.measures[:, c]
+        if channel.unit == "m" and counting.any() and residual[counting][:, part].size > taken:
+            return bounds(residual[counting][:, part], float(sigma[c]), taken)
     return None
 
 
@@ -58,19 +58,19 @@ def bounds(residual: np.ndarray, sigma: float, taken: int = 0) -> Bounds:
     Args:
         residual: Shape (N, axes), [m].
         sigma: Noise of each number, [m].
-        taken: Numbers that what nobody knew has taken up.
+        taken: Numbers that the unknowns fit whatever was measured.
     """
     squares, count, axes = float(np.sum(residual**2)) / sigma**2, residual.size - taken, residual.shape[1]
     scale = sigma / np.sqrt(len(residual))
     estimate = scale * np.sqrt(max(squares - count, 0.0))
-    if squares > PLAIN * count:
-        far = scale * float(norm.isf(FALSE_ALARMS))
-        return Bounds(float(estimate), float(estimate - far), float(estimate + far), axes)
+    if squares > NORMAL_FROM_SQUARES * count:
+        margin = scale * float(norm.isf(FALSE_ALARMS))
+        return Bounds(float(estimate), float(estimate - margin), float(estimate + margin), axes)
     low, high = (_noncentrality(squares, count, share) for share in (1.0 - FALSE_ALARMS, FALSE_ALARMS))
     return Bounds(float(estimate), float(scale * np.sqrt(low)), float(scale * np.sqrt(high)), axes)
 
 
-PLAIN = 1e4
+NORMAL_FROM_SQUARES = 1e4
 """Times the noise's own squares beyond which the root of the sum is normal, of sigma 1, to a ten-thousandth of that."""
 
 

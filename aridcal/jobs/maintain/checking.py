@@ -18,7 +18,7 @@ from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.ambiguity import Telling, alike, telling
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.jobs.maintain.hypotheses import Suspect, suspects, widened
-from aridcal.jobs.maintain.likelihoods import TIMES, Alarm, Question, alarm, evidence, likely, taken_up
+from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, Question, alarm, evidence, likely, taken_up
 from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
 from aridcal.jobs.maintain.unknowns import Wide, wide_of
 from aridcal.system.errors import MeasurementError
@@ -26,10 +26,10 @@ from aridcal.system.errors import MeasurementError
 MOST_CAUSES = 4
 """Things that may have moved together: the instrument, the tool and a joint after a crash, and one gross row."""
 
-GROSS = tuple((10.0 ** np.arange(1.0, 4.1, 0.5)).tolist())
+GROSS_SIGMAS = tuple((10.0 ** np.arange(1.0, 4.1, 0.5)).tolist())
 """Sigmas by which one row may be off by itself: a slip of the target or of the table."""
 
-FREE = 10.0
+ACCEPTED_SIZE_FACTOR = 10.0
 """Times its most likely size that a change may have once it is accepted: it is then measured, not guessed."""
 
 
@@ -43,9 +43,9 @@ class Cause:
         words: What it is called.
         probability: Of this cause, given that there is one more.
         suspect: What moved; None for rows and noise.
-        size: Of its prior once it was accepted.
-        alike: Others that these rows do not refute, in words, the best first.
-        telling: Configurations that would tell it from some of these.
+        size: Of the suspect's prior once it was accepted, [m], [rad] or a ratio.
+        alike: Other suspects that these rows do not refute, in words, the best first.
+        telling: Configurations that would tell the suspect from some of these.
     """
 
     kind: str
@@ -65,9 +65,9 @@ class Heat:
     Attributes:
         column: Where they are recorded.
         rows: Lowest and highest of the rows.
-        seen: Lowest and highest that the calibration saw.
-        beyond: How far the farthest row is outside of that, [K].
-        growth: By how much an arm of this length grows then, [m].
+        seen: Lowest and highest of the calibration's own rows.
+        beyond: From these to the farthest new row, [K].
+        growth: Of an arm of this length over that difference, [m].
     """
 
     column: str
@@ -84,13 +84,13 @@ class Checked:
     Attributes:
         rows: The rows.
         wide: The final model with every constant that may have moved, and with all that only these rows tell.
-        noise: That the rows were expected to have.
+        noise: Expected of the rows.
         residual: Measured minus predicted, shape (N, m), in the channels' units, what only these rows tell fitted; NaN in
             channels that a row does not measure.
-        first: Whether they contradict it.
-        causes: What explains that, the most telling first; none without an alarm.
-        rest: Whether anything is left once these are allowed for.
-        question: The rows with these allowed for.
+        first: The test of the rows against the calibration as it is.
+        causes: What explains an alarm, the most telling first; none without one.
+        rest: The test once these causes are allowed for.
+        question: The rows with these causes allowed for.
         error: The model's own error; None where no lengths were measured.
         tolerance: [m], if one was given.
         unknowns: What of the wide model only these rows tell.
@@ -165,7 +165,7 @@ def asked(
 
 
 def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, frames: Frames | None = None) -> Checked:
-    """Set new rows beside a calibration, and name what moved.
+    """Compare new rows with a calibration, and name what moved.
 
     Args:
         saved: The calibration.
@@ -179,21 +179,21 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
         MeasurementError: a row's station is none of those that were calibrated, nothing can be said of a tolerance, or rows
             cannot tell where something is that nobody knows.
     """
-    noise = known_noise(saved, rows, other=frames is not None)
+    noise = known_noise(saved, rows, new_instrument=frames is not None)
     rows = replace(rows, covariates=saved.completed(rows.covariates, len(rows)))
     unknowns = wide_of(widened(saved.doubted), rows, frames)
     wide = unknowns.solved
     shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
     start = question = asked(wide, rows, noise, unknowns.unknown, shared)
-    every, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
-    first = rest = alarm(question, every)
+    visible, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
+    first = rest = alarm(question, visible)
     causes: list[Cause] = []
-    left = list(every)
+    remaining = list(visible)
     while rest.p_value < FALSE_ALARMS and len(causes) < MOST_CAUSES:
-        cause, question = _next(saved, unknowns, question, left, rows)
+        cause, question = _next(saved, unknowns, question, remaining, rows)
         causes.append(cause)
-        left = [s for s in left if s is not cause.suspect]
-        rest = alarm(question, left)
+        remaining = [s for s in remaining if s is not cause.suspect]
+        rest = alarm(question, remaining)
     residual = start.problem.residual(with_unknowns(start))
     taken = taken_up(start.at(wide.theta)[1][:, unknowns.unknown])
     error = error_of(rows, residual, noise.sigma, ~start.dropped, taken)
@@ -220,15 +220,15 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
 
 
 def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
-    """The column of temperatures that is farthest from what the calibration saw, if one is farther than that varied."""
-    found = []
+    """The temperature column farthest outside the calibration's range, if by more than a share of that range."""
+    outside = []
     for name, (low, high) in saved.seen.items():
         values = rows.covariates.get(name, np.zeros(0))
         beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
         if beyond > ASIDE * (high - low):
             ends = float(np.nanmin(values)), float(np.nanmax(values))
-            found.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
-    return max(found, key=lambda heat: heat.beyond, default=None)
+            outside.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
+    return max(outside, key=lambda heat: heat.beyond, default=None)
 
 
 def with_unknowns(question: Question) -> np.ndarray:
@@ -239,56 +239,60 @@ def with_unknowns(question: Question) -> np.ndarray:
     return likely(replace(question, covariance=np.diag(free))).theta
 
 
-def seen_by(question: Question, every: Sequence[Suspect]) -> tuple[tuple[Suspect, ...], tuple[Suspect, ...]]:
-    """Suspects that rows can show, and those that what nobody knew takes up: a base, say, around which points are unknown."""
+def seen_by(question: Question, suspects_asked: Sequence[Suspect]) -> tuple[tuple[Suspect, ...], tuple[Suspect, ...]]:
+    """Suspects that rows can show, and those that unknowns hide: the base, say, where the points around it are unknown."""
     if not question.unknown.any():
-        return tuple(every), ()
+        return tuple(suspects_asked), ()
     _, J = question.at(question.theta)
     U = J[:, question.unknown]
     before = taken_up(U)
-    found = [taken_up(np.hstack([U, J @ suspect.directions])) > before for suspect in every]
+    visible = [taken_up(np.hstack([U, J @ suspect.directions])) > before for suspect in suspects_asked]
     return (
-        tuple(s for s, seen in zip(every, found, strict=True) if seen),
-        tuple(s for s, seen in zip(every, found, strict=True) if not seen),
+        tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if seen),
+        tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if not seen),
     )
 
 
 def _next(
-    saved: SavedModel, unknowns: Wide, question: Question, left: Sequence[Suspect], rows: Dataset
+    saved: SavedModel, unknowns: Wide, question: Question, suspects_left: Sequence[Suspect], rows: Dataset
 ) -> tuple[Cause, Question]:
-    """The most probable of all that could explain the rows, and the rows with it allowed for."""
-    found = []
-    for suspect in left:
+    """The most probable cause of what the rows show, and the question with this cause allowed for."""
+    explanations = []
+    for suspect in suspects_left:
         free = question.with_moved(suspect, suspect.sizes[-1])
         place = likely(free)
         B = place.J @ suspect.directions
         before = replace(place, known=place.J @ question.covariance @ place.J.T + place.shared)
-        seen = evidence(before, question.times, B, suspect.sizes)
-        size = min(FREE * suspect.sizes[seen.best], suspect.sizes[-1])
-        # Noise that looks larger may be what else has moved: it stays as known until it is itself the best explanation.
+        support = evidence(before, question.times, B, suspect.sizes)
+        size = min(ACCEPTED_SIZE_FACTOR * suspect.sizes[support.best], suspect.sizes[-1])
+        # Another moved part looks like larger noise: the noise stays as known until it is itself the best explanation.
         freed = question.with_moved(suspect, size)
-        found.append((seen.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed))
-    here, row_of = likely(question), question.rows
-    still = evidence(here, question.times, np.zeros((len(here.r), 0)), (1.0,))
-    worse = int(np.argmax(still.density[0, 1:])) + 1
-    times = TIMES[worse] * question.times
-    words = f"the scatter of the rows, {times:g} times what was expected (instrument, target or reading, no part of the arm)"
-    scattered = float(logsumexp(still.density[0, 1:]) - np.log(len(TIMES) - 1))
-    found.append((scattered, Cause("noise", "rows", words, 0.0), replace(question, times=times)))
-    measured = np.unique(row_of).tolist()
-    for row in measured:
-        seen = evidence(here, question.times, np.diag(here.root)[:, row_of == row], GROSS)
+        explanations.append(
+            (support.total, Cause(suspect.kind, suspect.where, suspect.words, 0.0, suspect, size), freed)
+        )
+    likeliest, row_of = likely(question), question.rows
+    as_noise = evidence(likeliest, question.times, np.zeros((len(likeliest.r), 0)), (1.0,))
+    noisier = int(np.argmax(as_noise.density[0, 1:])) + 1
+    factor = NOISE_FACTORS[noisier] * question.times
+    words = f"the scatter of the rows, {factor:g} times what was expected (instrument, target or reading, no part of the arm)"
+    scattered = float(logsumexp(as_noise.density[0, 1:]) - np.log(len(NOISE_FACTORS) - 1))
+    explanations.append((scattered, Cause("noise", "rows", words, 0.0), replace(question, times=factor)))
+    rows_counting = np.unique(row_of).tolist()
+    for row in rows_counting:
+        support = evidence(likeliest, question.times, np.diag(likeliest.root)[:, row_of == row], GROSS_SIGMAS)
         dropped = question.dropped.copy()
         dropped[row] = True
         line = str(rows.origin.line[row])
-        off = Cause("row", line, f"row {line} alone, which is off by itself", 0.0)
-        found.append((seen.total - float(np.log(len(measured))), off, replace(question, dropped=dropped)))
-    logs = np.array([value for value, _, _ in found])
-    best = int(np.argmax(logs))
-    _, cause, freed = found[best]
-    cause = replace(cause, probability=float(np.exp(logs[best] - logsumexp(logs))))
+        gross = Cause("row", line, f"row {line} alone, which is off by itself", 0.0)
+        explanations.append(
+            (support.total - float(np.log(len(rows_counting))), gross, replace(question, dropped=dropped))
+        )
+    log_evidence = np.array([value for value, _, _ in explanations])
+    best = int(np.argmax(log_evidence))
+    _, cause, freed = explanations[best]
+    cause = replace(cause, probability=float(np.exp(log_evidence[best] - logsumexp(log_evidence))))
     if cause.suspect is None:
         return cause, freed
-    others = alike(freed, cause.suspect, question, left)
-    found_apart = telling(saved, unknowns, freed, others)
-    return replace(cause, alike=tuple(s.words for s, _ in others), telling=found_apart), freed
+    others = alike(freed, cause.suspect, question, suspects_left)
+    configurations = telling(saved, unknowns, freed, others)
+    return replace(cause, alike=tuple(s.words for s, _ in others), telling=configurations), freed

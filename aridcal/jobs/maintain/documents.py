@@ -36,15 +36,15 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
         checked: What the rows said.
     """
     rows = checked.rows
-    used = ~checked.question.dropped
+    counting = ~checked.question.dropped
     return {
         "from": str(calibration),
         "sha256": hashlib.sha256(content).hexdigest(),
         "rows": {
             "files": [file.name for file in rows.origin.files],
             "sha256": rows.origin.sha256,
-            "used": sorted(int(line) for line in rows.origin.line[used]),
-            "left_out": sorted(int(line) for line in rows.origin.line[~used]),
+            "used": sorted(int(line) for line in rows.origin.line[counting]),
+            "left_out": sorted(int(line) for line in rows.origin.line[~counting]),
         },
         "moved": [cause.where for cause in checked.moved],
         "fitted_anew": [where if label is None else f"{where}[{label}]" for where, label in checked.unknowns.anew],
@@ -54,37 +54,37 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
 
 
 def document(
-    made: RepairOutcomes, checked: Checked, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
+    outcomes: RepairOutcomes, checked: Checked, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
 ) -> dict[str, Any]:
     """All figures of a repair: those of every calibration, on the new rows, and what moved.
 
     Args:
-        made: The repaired calibration as outcomes.
+        outcomes: The repaired calibration as outcomes.
         checked: What the rows said.
-        mended: What was done.
+        mended: The repair.
         parents: See :func:`lineage`.
         before: `result.json` of the calibration before, or nothing where it is not there.
     """
     rows = checked.rows
-    held_out = made.rows.measurements.test
-    parts = {"new_rows": ~made.rows.outlier & ~held_out, "test": held_out}
-    found = result_document(made.rows)
+    held_out = outcomes.rows.measurements.test
+    masks = {"new_rows": ~outcomes.rows.outlier & ~held_out, "test": held_out}
+    figures = result_document(outcomes.rows)
     stages = {
-        "before": made.rows.stage("before").residual,
-        "after": made.rows.stage("final").residual,
-        "left_out": made.left_out,
+        "before": outcomes.rows.stage("before").residual,
+        "after": outcomes.rows.stage("final").residual,
+        "left_out": outcomes.left_out,
     }
-    known = {p.get("name"): p for p in _listed(before, "parameters") if p.get("status") != "identified"}
-    own = parameters(made.model.stage("geometric").fit)
-    now = [p if p["status"] == "identified" else known.get(p["name"], p) for p in own]
+    not_identified = {p.get("name"): p for p in _listed(before, "parameters") if p.get("status") != "identified"}
+    fitted = parameters(outcomes.model.stage("geometric").fit)
+    constants = [p if p["status"] == "identified" else not_identified.get(p["name"], p) for p in fitted]
     repair = {
-        "error": found["error"]
+        "error": figures["error"]
         | {
-            name: {part: errors(residual, mask, rows.channels) for part, mask in parts.items()}
+            name: {part: errors(residual, mask, rows.channels) for part, mask in masks.items()}
             for name, residual in stages.items()
         },
-        "frames": frames(made.model.stage("final")),
-        "parameters": now,
+        "frames": frames(outcomes.model.stage("final")),
+        "parameters": constants,
         "effects": list(_effects(_listed(before, "effects"), mended.saved.final)),
         "moved": [
             {
@@ -102,15 +102,15 @@ def document(
         "p_value": {"before": checked.first.p_value, "after": checked.rest.p_value},
         "lineage": parents,
     }
-    return dict(finite(found | repair))
+    return dict(finite(figures | repair))
 
 
-def residuals(made: RepairOutcomes) -> pd.DataFrame:
+def residuals(outcomes: RepairOutcomes) -> pd.DataFrame:
     """``residuals.csv``: of each new row what each model leaves, and the repaired one where the row is left out."""
-    m = made.rows.measurements
+    m = outcomes.rows.measurements
     axes = residual_columns(m)
-    more = {f"left_out_{axis}": column for axis, column in zip(axes, made.left_out[m.as_read].T, strict=True)}
-    return residual_table(made.rows).assign(**more)
+    more = {f"left_out_{axis}": column for axis, column in zip(axes, outcomes.left_out[m.as_read].T, strict=True)}
+    return residual_table(outcomes.rows).assign(**more)
 
 
 def figures_before(calibration: Path) -> dict[str, Any]:
@@ -134,15 +134,15 @@ def _effects(before: Sequence[dict[str, Any]], final: SolvedModel) -> Iterator[d
 
     Their gains are on the rows of that calibration.
     """
-    left = {c.name: k for k, c in enumerate(final.model.coefficients) if not c.basis.always}
+    indices = {c.name: k for k, c in enumerate(final.model.coefficients) if not c.basis.always}
     std = np.sqrt(np.maximum(np.diag(final.covariance), 0.0))
     for effect in before:
         names = [c.get("name") for c in _listed(effect, "coefficients")]
-        if names and all(name in left for name in names):
-            own = [(c, left.pop(str(c["name"]))) for c in _listed(effect, "coefficients")]
-            now = [c | {"value": float(final.theta[k]), "std": float(std[k])} for c, k in own]
-            yield effect | {"coefficients": now}
-    for name, k in left.items():
+        if names and all(name in indices for name in names):
+            of_effect = [(c, indices.pop(str(c["name"]))) for c in _listed(effect, "coefficients")]
+            coefficients = [c | {"value": float(final.theta[k]), "std": float(std[k])} for c, k in of_effect]
+            yield effect | {"coefficients": coefficients}
+    for name, k in indices.items():
         c = final.model.coefficients[k]
         yield {
             "kind": UNNAMED,

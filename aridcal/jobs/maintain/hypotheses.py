@@ -18,27 +18,27 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.wander import zero_of
 from aridcal.jobs.calibrate.saved_model import SolvedModel
 
-SIZES = tuple((10.0 ** np.arange(-5.0, 1.01, 0.5)).tolist())
+CHANGE_SIZES = tuple((10.0 ** np.arange(-5.0, 1.01, 0.5)).tolist())
 """[m] and [rad] by which a zero or a frame may have moved, each as likely: from what no instrument sees to a motor or a tracker
 that was set up anew anywhere; steps of three lose 0.1 of the logarithm of the evidence."""
 
-RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
+EFFECT_RATIOS = tuple((10.0 ** np.arange(-1.5, 1.51, 0.5)).tolist())
 """Times its own size by which an effect may have changed: from a thirtieth to thirty times."""
 
-NEVER = ("ones", "step")
+FORMS_WITHOUT_CHANGE = ("ones", "step")
 """Forms that are no effect of the robot as it is now: constants, and what happened once."""
 
 
 @dataclass(frozen=True)
 class Suspect:
-    """Something that may have moved.
+    """A hypothesis: something of the robot that may have moved.
 
     Attributes:
         kind: ``zero``, ``frame`` or ``effect``.
         where: The joint or frame.
-        words: What it is called.
-        directions: Shape (K, d), in coefficients of the wide model; of a change of size 1.
-        sizes: That it may have.
+        words: Its name in sentences.
+        directions: Of a change of size 1, in coefficients of the wide model, shape (K, d).
+        sizes: That the change may have.
         turns: True of the zero of a joint that turns: it may be anywhere around.
     """
 
@@ -51,15 +51,15 @@ class Suspect:
 
     @property
     def touched(self) -> np.ndarray:
-        """Indices of the coefficients that it moves."""
+        """Indices of the coefficients that a change moves."""
         return np.flatnonzero(np.any(self.directions != 0.0, axis=1))
 
 
 def widened(solved: SolvedModel) -> SolvedModel:
-    """A solved model with every coefficient that a suspect may need: those it lacks are 0, and known."""
+    """A solved model with every coefficient that a suspect may need: those that it lacked are 0, with no variance."""
     model = solved.model
-    wanted = [*map(zero_of, model.robot.joints), *_of_frames(model)]
-    missing = [c for c in dict.fromkeys(wanted) if c not in model.coefficients]
+    needed = [*map(zero_of, model.robot.joints), *_of_frames(model)]
+    missing = [c for c in dict.fromkeys(needed) if c not in model.coefficients]
     count = len(model.coefficients)
     covariance = np.zeros((count + len(missing), count + len(missing)))
     covariance[:count, :count] = solved.covariance
@@ -68,7 +68,7 @@ def widened(solved: SolvedModel) -> SolvedModel:
 
 
 def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | None]] = ()) -> tuple[Suspect, ...]:
-    """All that may have moved, as the rows would show it.
+    """All suspects: zeros of joints, frames, effects.
 
     Args:
         wide: See :func:`widened`.
@@ -78,18 +78,18 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
     model = wide.model
     number = {c: k for k, c in enumerate(model.coefficients)}
 
-    def along(own: Sequence[Coefficient]) -> np.ndarray:
-        directions = np.zeros((len(number), len(own)))
-        directions[[number[c] for c in own], range(len(own))] = 1.0
+    def along(coefficients: Sequence[Coefficient]) -> np.ndarray:
+        directions = np.zeros((len(number), len(coefficients)))
+        directions[[number[c] for c in coefficients], range(len(coefficients))] = 1.0
         return directions
 
-    found = [
+    candidates = [
         Suspect(
             "zero",
             joint.name,
             f"the zero of {model.robot.place_in_words(joint.name)}",
             along([zero_of(joint)]),
-            SIZES,
+            CHANGE_SIZES,
             joint.kind != "prismatic",
         )
         for joint in model.robot.joints
@@ -100,10 +100,10 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
         ("world_base", model.world_base, "the base (or the instrument)"),
         ("tip_target", model.tip_target, "the tool (or the target on it)"),
     ):
-        here = stations if where == "world_base" else targets
-        found_here = [label for label, _ in frames if label is None or label in here]
-        for label in [label for label in found_here if (where, label) not in new]:
-            own = [
+        labels_of_rows = stations if where == "world_base" else targets
+        of_rows = [label for label, _ in frames if label is None or label in labels_of_rows]
+        for label in [label for label in of_rows if (where, label) not in new]:
+            coefficients = [
                 Coefficient(where, c, station=label)
                 for c in FRAME_COMPONENTS
                 if rows.sees_turns or where == "world_base" or c not in ANGULAR
@@ -113,36 +113,36 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
             words = (
                 noun if label is None else f"{noun} at station {label}" if at == "station" else f"the target {label}"
             )
-            found.append(Suspect("frame", name, words, along(own), SIZES))
-    return (*found, *_effects(wide))
+            candidates.append(Suspect("frame", name, words, along(coefficients), CHANGE_SIZES))
+    return (*candidates, *_effects(wide))
 
 
 def _effects(wide: SolvedModel) -> Iterator[Suspect]:
     """Each effect of the model: coefficients at one place that depend on the same covariates.
 
-    Each of its coefficients may change, but a map only as a whole: samples that change one by one take up what is none of it.
+    Each coefficient may change by itself, but a map only as a whole: samples that change one by one fit what is no part of it.
     """
-    for (where, of, smooth), own in effect_groups(wide.model.coefficients).items():
-        values = wide.theta[own]
+    for (where, of, smooth), indices in effect_groups(wide.model.coefficients).items():
+        values = wide.theta[indices]
         size = float(np.sqrt(np.mean(values**2)))
         if size > 0.0:
-            directions = np.zeros((len(wide.theta), 1 if smooth else len(own)))
-            directions[own] = values[:, None] if smooth else size * np.eye(len(own))
+            directions = np.zeros((len(wide.theta), 1 if smooth else len(indices)))
+            directions[indices] = values[:, None] if smooth else size * np.eye(len(indices))
             words = effect_in_words(wide.model.robot.place_in_words(where), of)
-            yield Suspect("effect", where, words, directions, RATIOS)
+            yield Suspect("effect", where, words, directions, EFFECT_RATIOS)
 
 
 def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[str, ...], bool], list[int]]:
     """Indices of the coefficients of each effect, by where it is, what it depends on, and whether that is a smooth function."""
     groups: dict[tuple[str, tuple[str, ...], bool], list[int]] = {}
     for k, c in enumerate(coefficients):
-        if not c.basis.constant and c.basis.form not in NEVER:
+        if not c.basis.constant and c.basis.form not in FORMS_WITHOUT_CHANGE:
             groups.setdefault((c.where, c.basis.of, c.basis.smooth), []).append(k)
     return groups
 
 
 def effect_in_words(where: str, of: Sequence[str]) -> str:
-    """What an effect is called whose kind no calibration keeps."""
+    """The name of an effect whose kind is not in the calibration."""
     return f"the effect at {where} that depends on {' and '.join(of)}"
 
 

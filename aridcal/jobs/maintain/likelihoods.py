@@ -1,4 +1,4 @@
-r"""How well new rows go with a calibration, and with each thing that may have moved since.
+r"""How well new rows agree with a calibration, and with each thing that may have moved since.
 
 With r the residuals in sigmas, J their columns and :math:`\Sigma` the calibration's own covariance, the calibration as it is
 predicts :math:`r \sim N(0, S_0)`, :math:`S_0 = I + J \Sigma J^T`; after a change of a suspect
@@ -33,31 +33,33 @@ from aridcal.engine.trust.wander import Wandering, zero_of
 from aridcal.jobs.maintain.hypotheses import Suspect
 from aridcal.jobs.maintain.realign import frame_start
 
-TIMES = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
+NOISE_FACTORS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
 """Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""
 
-AS_KNOWN = 0.9
+PRIOR_OF_KNOWN_NOISE = 0.9
 """Probability beforehand that the noise is as known; the rest is shared alike."""
 
-LOG_WEIGHTS = np.log(np.r_[AS_KNOWN, np.full(len(TIMES) - 1, (1.0 - AS_KNOWN) / (len(TIMES) - 1))])
+_OTHERS = len(NOISE_FACTORS) - 1
+LOG_WEIGHTS = np.log(np.r_[PRIOR_OF_KNOWN_NOISE, np.full(_OTHERS, (1.0 - PRIOR_OF_KNOWN_NOISE) / _OTHERS)])
+"""Logarithms of the prior probabilities of :data:`NOISE_FACTORS`."""
 
-STEPS = 30
+MOST_STEPS = 30
 """Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
 
 GROSS_RATIO = 1e4
 """Mean square, in sigmas, of rows so far off that a joint's zero is sought all around: a tracker's then are 5 mm off, which a
 turn of 5 mrad does. Steps lead from there to where it is from half a radian, so that nothing is sought too late."""
 
-ANGLES = tuple((np.pi / 12.0 * np.arange(-11, 13)).tolist())
+ANGLES_ALL_AROUND = tuple((np.pi / 12.0 * np.arange(-11, 13)).tolist())
 """[rad] all around, in steps from which Gauss and Newton's lead on: the farthest place between two is 0.13 rad off."""
 
-STEADY = 0.01
+WEIGHT_CHANGE_AT_END = 0.01
 """Relative change of a row's weight that is its last: that of squares is then far below a sigma."""
 
-SETTLED = 1e-3
+STEP_AT_END = 1e-3
 """Sigmas of any number measured by which the last step moves its prediction."""
 
-RANK = 1e-6
+LEAST_SINGULAR_SHARE = 1e-6
 """Share of the largest singular value of a suspect's columns below which the rows do not see a direction."""
 
 
@@ -68,7 +70,7 @@ class Question:
     Attributes:
         problem: The rows and the wide model, K coefficients; n numbers in all.
         theta: Coefficients of the calibration, shape (K,).
-        covariance: Theirs, and of what was accepted as moved, shape (K, K).
+        covariance: Of these, with what was accepted as moved, shape (K, K).
         sigma: Of each number of a row, shape (m,).
         freedom: Degrees of freedom behind these.
         times: The noise that is accepted, in units of the known.
@@ -114,33 +116,33 @@ class Question:
 
     @cached_property
     def of_channels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Numbers that count, by the row and channel that they are of: which, shape (n,); of each, size and tails."""
+        """Channels of rows: of each number that counts its channel of a row, shape (n,); of each of these, size and tails."""
         data = self.problem.data
         sizes = np.array([channel.size for channel in data.channels])
-        own = np.arange(len(data) * len(sizes)).reshape(len(data), -1).repeat(sizes, axis=1)[self.counted]
-        every, which = np.unique(own, return_inverse=True)
-        return which, sizes[every % len(sizes)], self.tails[every % len(sizes)]
+        channel_of_number = np.arange(len(data) * len(sizes)).reshape(len(data), -1).repeat(sizes, axis=1)[self.counted]
+        channels, which = np.unique(channel_of_number, return_inverse=True)
+        return which, sizes[channels % len(sizes)], self.tails[channels % len(sizes)]
 
     def shared(self, J: np.ndarray) -> np.ndarray:
         """Covariance of what the model leaves that neighbouring rows share, shape (n, n), columns J being (n, K)."""
-        found = np.zeros((len(J), len(J)))
+        covariance = np.zeros((len(J), len(J)))
         if self.wandering is None or not self.wandering.processes:
-            return found
+            return covariance
         model, row = self.problem.model, self.rows
         for joint, variance in zip(model.robot.joints, self.wandering.variance, strict=True):
             Z = J[:, model.coefficients.index(zero_of(joint))]
-            found += Z[:, None] * variance[np.ix_(row, row)] * Z
-        return found
+            covariance += Z[:, None] * variance[np.ix_(row, row)] * Z
+        return covariance
 
     def with_moved(self, suspect: Suspect, size: float) -> Question:
-        """The same with a change of a suspect, of some size, as likely as none."""
+        """The question with a suspect free to change, by a prior of this size."""
         D, begin = suspect.directions, self.begin
         covariance = self.covariance + size**2 * D @ D.T
         if suspect.kind == "frame":
             first = self.problem.model.coefficients[suspect.touched[0]]
             begin = frame_start(self.problem, begin, first.where, first.station)
         if suspect.kind == "zero" and suspect.turns and self.gross:
-            begin = self._turned(int(suspect.touched[0]))
+            begin = self._turned_all_around(int(suspect.touched[0]))
         return replace(self, covariance=covariance, begin=begin)
 
     @cached_property
@@ -149,17 +151,17 @@ class Question:
         r, _ = self.at(self.begin)
         return float(np.mean(r**2)) > GROSS_RATIO
 
-    def _turned(self, k: int) -> np.ndarray:
-        """Coefficients (K,) with a joint's zero at that of some angles all around which leaves the least, all else following."""
+    def _turned_all_around(self, k: int) -> np.ndarray:
+        """Coefficients (K,) with a joint's zero at the angle, of some all around, that leaves the smallest squares."""
         least, best = np.inf, self.begin
-        for angle in ANGLES:
+        for angle in ANGLES_ALL_AROUND:
             theta = self.begin.copy()
             theta[k] += angle
             r, J = self.at(theta)
             r = r + J @ (theta - self.theta)
             r = r - J[:, k] * (theta - self.theta)[k]
-            known = J @ self.covariance @ J.T + self.shared(J)
-            squares = float(r @ np.linalg.solve(self.times**2 * np.eye(len(r)) + known, r))
+            covariance = J @ self.covariance @ J.T + self.shared(J)
+            squares = float(r @ np.linalg.solve(self.times**2 * np.eye(len(r)) + covariance, r))
             if squares < least:
                 least, best = squares, theta
         return best
@@ -176,7 +178,7 @@ class Likely:
         known: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
         shared: Of what the model leaves that neighbouring rows share, shape (n, n).
         root: Inverse of each row's own sigma in that of its channel, shape (n,); 1 without tails.
-        beyond: Logarithm of what tails make of the density of normal noise, for each of :data:`TIMES`.
+        beyond: Logarithm of what tails make of the density of normal noise, for each of :data:`NOISE_FACTORS`.
     """
 
     theta: np.ndarray
@@ -189,17 +191,17 @@ class Likely:
 
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
-        """Variances (n,) of what is known of r, and its axes in columns (n, n): one for all that the noise may be."""
+        """Variances (n,) of r without noise, and their axes in columns (n, n): the same for every noise."""
         variances, axes = np.linalg.eigh(self.known)
         return np.maximum(variances, 0.0), axes
 
     def whitened(self, values: np.ndarray, times: float) -> np.ndarray:
-        """Values (n,) or (n, d) in units of what r scatters by with so many times the known noise, along its own axes."""
+        """Values (n,) or (n, d) along the axes of r's covariance, in sigmas there, with ``times`` the known noise."""
         variances, axes = self.spectrum
         return scaled_to(axes.T @ values, np.sqrt(times**2 + variances))
 
     def squares(self, times: float) -> float:
-        """Of the whole of r, in these units."""
+        """Sum of squares of the whitened r."""
         return float(np.sum(self.whitened(self.r, times) ** 2))
 
 
@@ -209,7 +211,7 @@ def scaled_to(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
-    r"""Find the most likely coefficients by Gauss-Newton steps in the space of the rows.
+    r"""The most likely coefficients, by Gauss-Newton steps in the space of the rows.
 
     .. math:: \theta = \theta_0 + \Sigma J^T (k^2 I + J \Sigma J^T)^{-1} (r + J (\theta - \theta_0))
 
@@ -222,29 +224,29 @@ def likely(question: Question, theta: np.ndarray | None = None) -> Likely:
     start, P = question.theta, question.covariance
     theta = question.begin if theta is None else theta
     which, size, tails = question.of_channels
-    heavy = bool(np.isfinite(tails).any())
+    has_tails = bool(np.isfinite(tails).any())
     weight = np.ones(len(size))
-    for _ in range(STEPS):
+    for _ in range(MOST_STEPS):
         r, J = question.at(theta)
         root = np.sqrt(weight)[which]
         r, J = root * (r + J @ (theta - start)), root[:, None] * J
         PJ, shared = P @ J.T, question.shared(J)
-        known = J @ PJ + shared
-        S = question.times**2 * np.eye(len(r)) + known
+        covariance = J @ PJ + shared
+        S = question.times**2 * np.eye(len(r)) + covariance
         pull = np.linalg.solve(S, r)
         step = start + PJ @ pull - theta
         squares = np.bincount(which, (question.times * pull / root) ** 2, len(size))
-        settled = bool(np.abs(J @ step).max(initial=0.0) < SETTLED)
-        if heavy:
-            left = 1.0 - question.times**2 * np.diag(np.linalg.inv(S))  # share of the noise that is not told
-            told = squares + np.bincount(which, left / root**2, len(size))
-            before, weight = weight, weights(told, size, tails)
-            settled = settled and bool(np.abs(np.log(weight / before)).max(initial=0.0) < STEADY)
+        converged = bool(np.abs(J @ step).max(initial=0.0) < STEP_AT_END)
+        if has_tails:
+            noise_share = 1.0 - question.times**2 * np.diag(np.linalg.inv(S))  # share of the noise that is not told
+            expected = squares + np.bincount(which, noise_share / root**2, len(size))
+            before, weight = weight, weights(expected, size, tails)
+            converged = converged and bool(np.abs(np.log(weight / before)).max(initial=0.0) < WEIGHT_CHANGE_AT_END)
         theta = theta + step
-        if settled:
+        if converged:
             break
     beyond = _beyond(squares, root[np.unique(which, return_index=True)[1]] ** 2, size, tails)
-    return Likely(theta, r, J, 0.5 * (known + known.T), shared, root, beyond)
+    return Likely(theta, r, J, 0.5 * (covariance + covariance.T), shared, root, beyond)
 
 
 def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np.ndarray) -> np.ndarray:
@@ -259,7 +261,7 @@ def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np
         size: Numbers of each.
         tails: Degrees of freedom of each.
     """
-    d = squares / np.array(TIMES)[:, None] ** 2
+    d = squares / np.array(NOISE_FACTORS)[:, None] ** 2
     each = log_density(d, size, tails) + 0.5 * size * np.log(2.0 * np.pi) + 0.5 * weight * d
     return np.asarray(np.where(np.isfinite(tails), each, 0.0).sum(axis=1))
 
@@ -273,7 +275,7 @@ def covariance_of(question: Question, place: Likely) -> np.ndarray:
     return np.asarray(left @ P @ left.T + gain @ (question.times**2 * np.eye(len(S)) + place.shared) @ gain.T)
 
 
-SMALLEST = 1e-300
+SMALLEST_PROBABILITY = 1e-300
 """Probability below which floats have none."""
 
 
@@ -294,7 +296,7 @@ class Alarm:
     @property
     def words(self) -> str:
         """The probability, as text."""
-        return f"p = {self.p_value:.2g}" if self.p_value > SMALLEST else f"p < {SMALLEST:g}"
+        return f"p = {self.p_value:.2g}" if self.p_value > SMALLEST_PROBABILITY else f"p < {SMALLEST_PROBABILITY:g}"
 
     @property
     def ratio(self) -> float:
@@ -314,34 +316,38 @@ def alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
         question: The rows.
         suspects: What the rows may show beside the residual as a whole.
     """
-    found = _alarm(question, suspects)
+    of_mean = _alarm(question, suspects)
     if question.wandering is None or not question.wandering.processes:
-        return found
-    each = [
-        (probability, _alarm(replace(question, wandering=alone), suspects).p_value)
-        for probability, alone in question.wandering.one_by_one()
+        return of_mean
+    per_process = [
+        (probability, _alarm(replace(question, wandering=process), suspects).p_value)
+        for probability, process in question.wandering.one_by_one()
     ]
-    return replace(found, p_value=float(sum(p * value for p, value in each) / sum(p for p, _ in each)))
+    return replace(of_mean, p_value=float(sum(p * value for p, value in per_process) / sum(p for p, _ in per_process)))
 
 
 def _alarm(question: Question, suspects: Sequence[Suspect]) -> Alarm:
-    """The same with what the rows share as its mean has it."""
+    """The test with the mean covariance of what rows share."""
     place = likely(question)
     z = place.whitened(place.r, question.times)
     squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
     smallest = tail(squares, numbers, question.freedom)
     for suspect in suspects:
-        taken, count = _taken(place.whitened(place.J @ suspect.directions, question.times), z)
+        squares_along, count = _squares_along(place.whitened(place.J @ suspect.directions, question.times), z)
         if count:
-            smallest = min(smallest, len(suspects) * tail(taken, count, question.freedom))
+            smallest = min(smallest, len(suspects) * tail(squares_along, count, question.freedom))
     return Alarm(min(1.0, 2.0 * smallest), squares, numbers)
 
 
 def taken_up(columns: np.ndarray) -> int:
-    """Numbers that unknowns with some columns, shape (n, u), take up: they fit these whatever they are."""
+    """Rank of the columns of unknowns, shape (n, u): so many numbers they fit whatever was measured."""
     sizes = np.linalg.norm(columns, axis=0)
     shaped = columns[:, sizes > 0.0] / sizes[sizes > 0.0]
-    return int(np.linalg.matrix_rank(shaped, tol=RANK * max(1.0, np.sqrt(shaped.shape[1])))) if shaped.size else 0
+    return (
+        int(np.linalg.matrix_rank(shaped, tol=LEAST_SINGULAR_SHARE * max(1.0, np.sqrt(shaped.shape[1]))))
+        if shaped.size
+        else 0
+    )
 
 
 def tail(squares: float, count: int, freedom: float) -> float:
@@ -349,11 +355,11 @@ def tail(squares: float, count: int, freedom: float) -> float:
     return float(f_distribution.sf(squares / count, count, freedom))
 
 
-def _taken(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
+def _squares_along(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
     """Squares of z (n,) that columns B (n, d) take up, and how many independent ones there are."""
     U, w, _ = np.linalg.svd(B, full_matrices=False)
-    seen = w > RANK * max(float(w.max(initial=0.0)), 1e-300)
-    return float(np.sum((U[:, seen].T @ z) ** 2)), int(seen.sum())
+    observed = w > LEAST_SINGULAR_SHARE * max(float(w.max(initial=0.0)), 1e-300)
+    return float(np.sum((U[:, observed].T @ z) ** 2)), int(observed.sum())
 
 
 @dataclass(frozen=True)
@@ -386,11 +392,11 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
         B: Columns of the change, shape (n, d); none: nothing changed.
         sizes: Of the change; one, whatever it is, where there are no columns.
     """
-    found = np.empty((len(sizes), len(TIMES)))
+    density = np.empty((len(sizes), len(NOISE_FACTORS)))
     variances, axes = place.spectrum
     r, B = axes.T @ place.r, axes.T @ B
-    for number, more in enumerate(TIMES):  # of the noise that is accepted
-        sigma = np.sqrt((more * times) ** 2 + variances)
+    for number, times_noise in enumerate(NOISE_FACTORS):  # of the noise that is accepted
+        sigma = np.sqrt((times_noise * times) ** 2 + variances)
         z = scaled_to(r, sigma)
         U, w, _ = np.linalg.svd(scaled_to(B, sigma), full_matrices=False)
         along = (U.T @ z) ** 2
@@ -398,5 +404,5 @@ def evidence(place: Likely, times: float, B: np.ndarray, sizes: tuple[float, ...
         for k, size in enumerate(sizes):
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))
-            found[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown))) + place.beyond[number]
-    return Evidence(found)
+            density[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown))) + place.beyond[number]
+    return Evidence(density)

@@ -29,25 +29,25 @@ from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CampaignError, MeasurementError, listed
 from aridcal.system.reading.user_names import check_path
 
-FEWEST = 3
+FEWEST_NEW_ROWS = 3
 """Rows below which nothing is said: two poses cannot tell a turn of the base from one of a joint."""
 
-MOST = 1200
+MOST_NEW_NUMBERS = 1200
 """Numbers measured, 200 poses, beyond which `aridcal identify` is the better answer; the matrices here grow with their square."""
 
-LEAST = 1e-6
+LEAST_SIGMA = 1e-6
 """[m] and [rad] of noise that no row has less of: no arm repeats to a micrometre, and exact rows, of a simulation for instance,
 would make matrices that no computer solves beside changes of metres."""
 
-CAMPAIGNS = (".yaml", ".yml")
+CAMPAIGN_ENDINGS = (".yaml", ".yml")
 """Endings of a campaign of new rows, beside tables."""
 
 
 class NewMeasurements(Campaign):
     """What another instrument measured of a robot that was calibrated already: `measurements`, `instruments`, `frames`.
 
-    Of `frames` only what is written counts: with ``identify: true``, the default, it is unknown and fitted with these rows; with
-    ``false`` it is where it says. What is not written is as calibrated.
+    Of `frames` only keys that are written count: a frame with ``identify: true``, the default, is unknown and fitted with these
+    rows; one with ``false`` is where the campaign says. Frames that are not written are as calibrated.
     """
 
     robot: RobotSettings = RobotSettings.model_construct(urdf=Path(), tip="")
@@ -69,7 +69,7 @@ class NewRows:
 
 @dataclass(frozen=True)
 class Noise:
-    """What the rows' noise is known to be.
+    """Noise of the rows, as declared or as the calibration's own rows scattered.
 
     Attributes:
         sigma: Of each channel per axis, shape (C,), in its unit.
@@ -85,7 +85,7 @@ class Noise:
     def core(self) -> tuple[np.ndarray, np.ndarray]:
         """Scale of each channel's noise, and the degrees of freedom of its tails, infinite without any, shape (C,) each."""
         tails = self.tails or (None,) * len(self.sigma)
-        scale = [s if t is None else max(t.sigma, LEAST) for s, t in zip(self.sigma.tolist(), tails, strict=True)]
+        scale = [s if t is None else max(t.sigma, LEAST_SIGMA) for s, t in zip(self.sigma.tolist(), tails, strict=True)]
         return np.array(scale), np.array([np.inf if t is None else t.freedom for t in tails])
 
 
@@ -111,70 +111,80 @@ def read_new_rows(saved: SavedModel, table: AnyTable) -> NewRows:
         CampaignError: the calibration does not say how its tables are written, or the campaign needs mending.
         MeasurementError: the table cannot be read, lacks columns, or has too few or too many rows.
     """
-    new = isinstance(table, str | Path) and Path(table).suffix.lower() in CAMPAIGNS
-    campaign = _other(saved, Path(str(table))) if new else _own(saved, table)
+    new_instrument = isinstance(table, str | Path) and Path(table).suffix.lower() in CAMPAIGN_ENDINGS
+    campaign = _other(saved, Path(str(table))) if new_instrument else _own(saved, table)
     robot = saved.final.model.robot
     rows = load_measurements(
-        campaign, robot.readings, robot.limits, robot.kinds, robot=robot, files=None if new else [table], fitted=False
+        campaign,
+        robot.readings,
+        robot.limits,
+        robot.kinds,
+        robot=robot,
+        files=None if new_instrument else [table],
+        fitted=False,
     )
-    rows = _with_targets(saved, with_directions(rows), new)
+    rows = _with_targets(saved, with_directions(rows), new_instrument)
     _refuse_unknown_labels(saved, rows)
     numbers = sum(int(rows.measures[:, c].sum()) * channel.size for c, channel in enumerate(rows.channels))
-    why = "" if numbers <= MOST else f"; more than {MOST} numbers are a campaign of their own: `aridcal identify`"
-    if len(rows) < FEWEST or why:
+    too_many = (
+        ""
+        if numbers <= MOST_NEW_NUMBERS
+        else f"; more than {MOST_NEW_NUMBERS} numbers are a campaign of their own: `aridcal identify`"
+    )
+    if len(rows) < FEWEST_NEW_ROWS or too_many:
         raise MeasurementError(
-            f"{rows.title}: {len(rows)} usable rows: 5 to 20 in attitudes that differ are asked for{why}"
+            f"{rows.title}: {len(rows)} usable rows: 5 to 20 in attitudes that differ are asked for{too_many}"
         )
-    return NewRows(rows, campaign.frames if new else None)
+    return NewRows(rows, campaign.frames if new_instrument else None)
 
 
 def _refuse_unknown_labels(saved: SavedModel, rows: Dataset) -> None:
-    """Refuse rows of a station that constants by station are not known of: a deviation there would look like a change."""
-    known = [label_in(name) for name in labels_of(c.basis for c in saved.final.model.coefficients)]
-    given = [""] if rows.labels.station is None else np.unique(rows.labels.station).tolist()
-    other = [label for label in given if label not in known] if known else []
-    if other:
-        what = f"station {other[0]!r} is none" if other[0] else "the rows' `station` is none"
+    """Refuse rows of a station without constants of its own, where constants vary by station: it would look like a change."""
+    allowed = [label_in(name) for name in labels_of(c.basis for c in saved.final.model.coefficients)]
+    stations = [""] if rows.labels.station is None else np.unique(rows.labels.station).tolist()
+    strangers = [label for label in stations if label not in allowed] if allowed else []
+    if strangers:
+        what = f"station {strangers[0]!r} is none" if strangers[0] else "the rows' `station` is none"
         raise MeasurementError(
-            f"{rows.title}: {what} of those by which the calibration's constants vary ({listed(known)}), and what it deviates by "
-            "is not known; take rows of these, or calibrate again with rows of all"
+            f"{rows.title}: {what} of those by which the calibration's constants vary ({listed(allowed)}), and what it "
+            "deviates by is not known; take rows of these, or calibrate again with rows of all"
         )
 
 
 def _other(saved: SavedModel, path: Path) -> Campaign:
-    """The campaign of another instrument's rows."""
+    """The campaign of rows of another instrument, checked against the calibration."""
     check_path(path, CampaignError)
-    asked = load_settings(path, NewMeasurements)
+    campaign = load_settings(path, NewMeasurements)
     tip = saved.final.model.robot.tip
-    if "robot" in asked.model_fields_set and asked.robot.tip != tip:
+    if "robot" in campaign.model_fields_set and campaign.robot.tip != tip:
         raise CampaignError(
-            f"{path}: robot.tip: {asked.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
+            f"{path}: robot.tip: {campaign.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
         )
-    stated = saved.final.model.robot.stated
-    if asked.robot.stated not in (NOTHING, stated):
+    calibrated = saved.final.model.robot.stated
+    if campaign.robot.stated not in (NOTHING, calibrated):
         raise CampaignError(
             f"{path}: robot.joints and robot.coupled: are not those that were calibrated; delete the key `robot`"
         )
-    for number, block in enumerate(asked.blocks):
+    for number, block in enumerate(campaign.blocks):
         check_joints(
-            block, f"{path}: {asked.place(number)}", saved.final.model.robot.readings, saved.final.model.robot.kinds
+            block, f"{path}: {campaign.place(number)}", saved.final.model.robot.readings, saved.final.model.robot.kinds
         )
-    if any(block.traits.of_head for block in asked.blocks):
+    if any(block.traits.of_head for block in campaign.blocks):
         raise CampaignError(
             f"{path}: measurements.kind: camera_sonar is not read here; `aridcal measure` makes a table of poses from its "
             "images: name that, with `kind: pose`"
         )
-    ties = [key for key in ("lengths", "perpendicular") if key in asked.instruments.model_fields_set]
+    ties = [key for key in ("lengths", "perpendicular") if key in campaign.instruments.model_fields_set]
     if ties:
         raise CampaignError(
             f"{path}: instruments.{ties[0]}: what is known between things is not used with a calibration that has its scale "
             "already; delete this key"
         )
-    per = [name for name in ("world_base", "tip_target") if getattr(asked.frames, name).per is not None]
-    if per:
-        raise CampaignError(f"{path}: frames.{per[0]}.per: new rows have one frame each; delete this key")
-    return asked.model_copy(
-        update={"robot": asked.robot.model_copy(update={"joints": stated.joints, "coupled": stated.coupled})}
+    varying = [name for name in ("world_base", "tip_target") if getattr(campaign.frames, name).per is not None]
+    if varying:
+        raise CampaignError(f"{path}: frames.{varying[0]}.per: new rows have one frame each; delete this key")
+    return campaign.model_copy(
+        update={"robot": campaign.robot.model_copy(update={"joints": calibrated.joints, "coupled": calibrated.coupled})}
     )
 
 
@@ -187,51 +197,51 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
             "`aridcal identify` again"
         )
     robot, settings = saved.final.model.robot, saved.measurements
-    places = {column_of(name, settings, robot.readings) for name in POSITION}
+    position_columns = {column_of(name, settings, robot.readings) for name in POSITION}
     joints = [settings.columns.get(name, name) for name in robot.readings]
     names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
-    several = saved.frames_by != "station"
+    per_target = saved.frames_by != "station"
     referring = any(block.kind in REFERRING or block.traits.level for block in campaign.blocks)
-    if not several and (places <= names or not referring):
+    if not per_target and (position_columns <= names or not referring):
         changes: dict[str, Any] = {"listed": (), "measurements": settings, "instruments": InstrumentSettings()}
         return campaign.model_copy(update=changes)
     tables = list(campaign.instruments.tables)
-    lost = [path for path in tables if not path.exists()]
-    if lost:
+    missing = [path for path in tables if not path.exists()]
+    if missing:
         raise CampaignError(
-            f"{lost[0]}: there is no such file, and the calibration's campaign names it for its instruments; write a campaign "
+            f"{missing[0]}: there is no such file, and the calibration's campaign names it for its instruments; write a campaign "
             "with `measurements` and `instruments` beside the new table, and name that in place of the table"
         )
     return campaign
 
 
-def _with_targets(saved: SavedModel, rows: Dataset, other: bool) -> Dataset:
-    """The rows with a label of their target, but where all are of the only one that was calibrated.
+def _with_targets(saved: SavedModel, rows: Dataset, new_instrument: bool) -> Dataset:
+    """The rows with a label of their target, or without where all are of the only target of the calibration.
 
     Raises:
         MeasurementError: the calibration has several targets, and a row does not say which it is of.
     """
-    known = [label for label, _ in saved.final.model.tip_target]
-    if rows.labels.target is None and not rows.direct and other:
+    labels = [label for label, _ in saved.final.model.tip_target]
+    if rows.labels.target is None and not rows.direct and new_instrument:
         names = [own_target(b.traits, b.name) for b in rows.blocks]
         rows = rows.with_labels(target=np.array(names)[rows.labels.block])
     if rows.labels.target is None and saved.frames_by != "station":
-        several = listed([str(label) for label in known])
+        several = listed([str(label) for label in labels])
         raise MeasurementError(
             f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
         )
-    if known != [None] or rows.labels.target is None:
+    if labels != [None] or rows.labels.target is None:
         return _plain(rows)
-    apart = {TIP, *(b.name for b in rows.blocks if b.traits.level)}
-    placed = sorted(set(rows.labels.target.tolist()) - apart)
-    if not other and len(placed) == 1:  # the calibration does not keep the name of its only target
-        rows = rows.with_labels(target=np.where(rows.labels.target == placed[0], ONE_TARGET, rows.labels.target))
-    same = set(np.asarray(rows.labels.target).tolist()) == {ONE_TARGET}
-    return _plain(rows.with_labels(target=None)) if same else rows
+    references = {TIP, *(b.name for b in rows.blocks if b.traits.level)}
+    targets = sorted(set(rows.labels.target.tolist()) - references)
+    if not new_instrument and len(targets) == 1:  # the calibration does not keep the name of its only target
+        rows = rows.with_labels(target=np.where(rows.labels.target == targets[0], ONE_TARGET, rows.labels.target))
+    unlabelled = set(np.asarray(rows.labels.target).tolist()) == {ONE_TARGET}
+    return _plain(rows.with_labels(target=None)) if unlabelled else rows
 
 
 def _plain(rows: Dataset) -> Dataset:
-    """Rows of one tracker and one target with this tracker as faultless, as the calibration's own are."""
+    """Rows of one tracker and one target without the tracker's own errors, as the calibration's rows are."""
     if (
         len(rows.blocks) == 1
         and rows.blocks[0].traits.tracked
@@ -242,13 +252,13 @@ def _plain(rows: Dataset) -> Dataset:
     return rows
 
 
-def known_noise(saved: SavedModel, rows: Dataset, other: bool = False) -> Noise:
+def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> Noise:
     """Noise of new rows: what they or their own campaign state, else what the calibration's rows of that kind scattered by.
 
     Args:
         saved: The calibration.
         rows: C channels.
-        other: True of rows with a campaign of their own.
+        new_instrument: True of rows with a campaign of their own.
 
     Raises:
         CampaignError: of a channel neither is known.
@@ -256,41 +266,41 @@ def known_noise(saved: SavedModel, rows: Dataset, other: bool = False) -> Noise:
     kinds = [saved.kind if rows.direct else block.kind for block in rows.blocks for _ in block.channels]
     names = [channel.name for block in rows.blocks for channel in _channels_of(block.kind)]
     absolute = saved.measurements.noise.rows == "absolute" and rows.relative is not None and rows.direct
-    seen = _scatter(saved)
-    found = []
+    scatter = _scatter(saved)
+    noises = []
     for c, (channel, kind) in enumerate(zip(rows.channels, kinds, strict=True)):
         name = names[c]
-        stated = (float(rows.sigma[c] or 0.0), np.inf, None) if rows.sigma[c] else None
-        pair = stated if (other or absolute) and stated else seen.get((kind, name), stated)
-        if pair is None and rows.measures[:, c].any():
+        declared = (float(rows.sigma[c] or 0.0), np.inf, None) if rows.sigma[c] else None
+        entry = declared if (new_instrument or absolute) and declared else scatter.get((kind, name), declared)
+        if entry is None and rows.measures[:, c].any():
             raise CampaignError(
                 f"{rows.title}: nothing is known of the noise of {channel.name}; write it in a campaign of these rows, under "
                 f"measurements: `noise: {{{name}: SIGMA}}`, in {channel.unit}"
             )
-        found.append(pair or (1.0, np.inf, None))
-    sigma, freedom, tails = zip(*found, strict=True)
-    return Noise(np.maximum(sigma, LEAST), np.array(freedom), tails)
+        noises.append(entry or (1.0, np.inf, None))
+    sigma, freedom, tails = zip(*noises, strict=True)
+    return Noise(np.maximum(sigma, LEAST_SIGMA), np.array(freedom), tails)
 
 
 def _channels_of(kind: str) -> Channels:
-    """Channels of a kind by the names that these have in every campaign."""
+    """Channels of a kind."""
     return KINDS[kind].channels
 
 
 def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tails | None]]:
-    """What the calibration's own rows scattered by, the freedom behind it, and its tails, by kind and channel."""
+    """Scatter of the calibration's own rows, its degrees of freedom and its tails, by kind and channel."""
     sigma, freedom = saved.scatter
     of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
-    own = saved.record.get("scatter", {})
+    records = saved.record.get("scatter", {})
     tracked = [name for name, kind in KINDS.items() if kind.tracked]
-    found = {(kind, name): (s, f, _tails(own.get(name, {}))) for name, s, f in of_target for kind in tracked}
+    scatter = {(kind, name): (s, f, _tails(records.get(name, {}))) for name, s, f in of_target for kind in tracked}
     for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
-        for name, part in channels.items():
-            found[kind, name] = float(part["sigma"]), float(part["freedom"]), _tails(part)
-    return found
+        for name, record in channels.items():
+            scatter[kind, name] = float(record["sigma"]), float(record["freedom"]), _tails(record)
+    return scatter
 
 
-def _tails(part: dict[str, Any]) -> Tails | None:
-    """Tails as the file has them."""
-    found = part.get("tails")
-    return None if found is None else Tails(float(found["freedom"]), float(found["sigma"]))
+def _tails(channel: dict[str, Any]) -> Tails | None:
+    """Tails of a channel's record in ``calibration.yaml``; None: normal noise."""
+    record = channel.get("tails")
+    return None if record is None else Tails(float(record["freedom"]), float(record["sigma"]))

@@ -37,7 +37,7 @@ from aridcal.jobs.maintain.repair_error import left_out
 from aridcal.jobs.maintain.unknowns import wide_of
 from aridcal.system.errors import CampaignError
 
-PREDICTED = 400
+CONFIGURATIONS_PREDICTED = 400
 """Configurations in which the repaired model predicts itself: sixty numbers for each constant that an export may have."""
 
 
@@ -46,8 +46,8 @@ class RepairOutcomes:
     """What the files of a repaired calibration are made of.
 
     Attributes:
-        rows: The new rows beside the nominal robot, the calibration ``before``, the repaired geometry and the repaired model.
-        model: The same beside what the repaired model predicts where it was calibrated.
+        rows: The new rows against the nominal robot, the calibration ``before``, the repaired geometry and the repaired model.
+        model: The repaired model's own predictions, where it was calibrated, against nominal, geometric and final stage.
         left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out`.
     """
 
@@ -56,52 +56,58 @@ class RepairOutcomes:
     left_out: np.ndarray
 
 
-def repair_outcomes(saved: SavedModel, checked: Checked, mended: Repaired) -> RepairOutcomes:
-    """Set a repaired calibration beside the new rows, and beside its own predictions.
+def repair_outcomes(saved: SavedModel, checked: Checked, repair: Repaired) -> RepairOutcomes:
+    """Residuals of a repaired calibration at the new rows, and at its own predictions.
 
     Args:
         saved: The calibration before.
         checked: What the rows said of it.
-        mended: The repair.
+        repair: What was done.
 
     Raises:
         CampaignError: the calibration does not hold its campaign.
     """
     if saved.campaign is None:
         raise CampaignError("calibration.yaml holds no campaign; run `aridcal identify` again")
-    which = saved.campaign.parameters.set
-    found = likely(checked.question)
-    predicted = _predicted(mended.saved)
-    nominal = _nominal(mended.saved, predicted)
-    sigma = np.array(mended.saved.noise[: len(predicted.channels)])
+    constants_set = saved.campaign.parameters.set
+    solution = likely(checked.question)
+    predicted = _predicted(repair.saved)
+    nominal = _nominal(repair.saved, predicted)
+    sigma = np.array(repair.saved.noise[: len(predicted.channels)])
     arm = SolvedModel(nominal.model, nominal.theta, nominal.covariance)
     of_model = tuple(
-        Stage(name, *_fit(problem(solved.model, predicted), solved, sigma, which))
-        for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric), ("final", mended.saved.final))
+        Stage(name, *_fit(problem(solved.model, predicted), solved, sigma, constants_set))
+        for name, solved in (("nominal", arm), ("geometric", repair.saved.geometric), ("final", repair.saved.final))
     )
     noise = checked.question.times * checked.noise.sigma
-    final = SolvedModel(checked.wide.model, found.theta, covariance_of(checked.question, found))
+    final = SolvedModel(checked.wide.model, solution.theta, covariance_of(checked.question, solution))
     start = asked(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
     old = SolvedModel(checked.wide.model, with_unknowns(start), checked.wide.covariance)
     of_rows = (
         *(
-            _beside(name, solved, checked, which)
-            for name, solved in (("nominal", arm), ("geometric", mended.saved.geometric))
+            _beside(name, solved, checked, constants_set)
+            for name, solved in (("nominal", arm), ("geometric", repair.saved.geometric))
         ),
-        Stage("before", *_fit(start.problem, _without_zeros(old), noise, which)),
-        Stage("final", *_fit(checked.question.problem, _without_zeros(final), noise, which)),
+        Stage("before", *_fit(start.problem, _without_zeros(old), noise, constants_set)),
+        Stage("final", *_fit(checked.question.problem, _without_zeros(final), noise, constants_set)),
     )
-    odd = checked.rest.p_value < FALSE_ALARMS
-    share = max(0.0, 1.0 - 1.0 / checked.rest.ratio) if odd else 0.0
-    why = (f"what remains of the new rows is more than their noise (p = {checked.rest.p_value:.2g})",) if odd else ()
-    verdict = Verdict("structure_remains" if odd else "noise_floor", share, why)
-    used = ~checked.question.dropped
-    held_out = checked.rows.test if checked.rows.origin.split_given else np.zeros(len(used), dtype=bool)
+    contradicted = checked.rest.p_value < FALSE_ALARMS
+    share = max(0.0, 1.0 - 1.0 / checked.rest.ratio) if contradicted else 0.0
+    why = (
+        (f"what remains of the new rows is more than their noise (p = {checked.rest.p_value:.2g})",)
+        if contradicted
+        else ()
+    )
+    verdict = Verdict("structure_remains" if contradicted else "noise_floor", share, why)
+    counting = ~checked.question.dropped
+    held_out = checked.rows.test if checked.rows.origin.split_given else np.zeros(len(counting), dtype=bool)
     rows = replace(checked.rows, test=held_out)
     return RepairOutcomes(
-        rows=_outcome(saved.campaign, rows, of_rows, ~used & ~held_out, noise, verdict),
-        model=_outcome(saved.campaign, predicted, of_model, np.zeros(PREDICTED, dtype=bool), sigma, verdict),
-        left_out=left_out(checked, found.theta),
+        rows=_outcome(saved.campaign, rows, of_rows, ~counting & ~held_out, noise, verdict),
+        model=_outcome(
+            saved.campaign, predicted, of_model, np.zeros(CONFIGURATIONS_PREDICTED, dtype=bool), sigma, verdict
+        ),
+        left_out=left_out(checked, solution.theta),
     )
 
 
@@ -113,7 +119,7 @@ def _outcome(
     noise: np.ndarray,
     verdict: Verdict,
 ) -> Outcome:
-    """Stages that are there already as an outcome; nothing is asked of their residuals."""
+    """Solved stages as an outcome, without any search in their residuals."""
     return Outcome(
         campaign=campaign,
         robot=stages[0].fit.model.robot,
@@ -132,22 +138,22 @@ def _outcome(
 
 
 def _predicted(saved: SavedModel) -> Dataset:
-    """What a model predicts where it was calibrated, as rows that measured it exactly."""
+    """Exact rows: what a model predicts at configurations in which it was calibrated."""
     model, rng = saved.final.model, np.random.default_rng(0)
     robot = model.robot
-    drawn = {
-        name: rng.choice(saved.ranges[name], PREDICTED)
+    samples = {
+        name: rng.choice(saved.ranges[name], CONFIGURATIONS_PREDICTED)
         if name.endswith("_direction")
-        else rng.uniform(*saved.ranges[name], PREDICTED)
+        else rng.uniform(*saved.ranges[name], CONFIGURATIONS_PREDICTED)
         for name in (*robot.readings, *model.needs)
     }
     at_base, at_tip = (
         sorted({label for label, _ in frames if label is not None}) for frames in (model.world_base, model.tip_target)
     )
-    station = rng.choice(at_base or at_tip, PREDICTED) if at_base or at_tip else None
-    target = rng.choice(at_tip, PREDICTED) if saved.frames_by == "both" else None
-    readings = np.column_stack([drawn[name] for name in robot.readings])
-    covariates = {name: drawn[name] for name in model.needs}
+    station = rng.choice(at_base or at_tip, CONFIGURATIONS_PREDICTED) if at_base or at_tip else None
+    target = rng.choice(at_tip, CONFIGURATIONS_PREDICTED) if saved.frames_by == "both" else None
+    readings = np.column_stack([samples[name] for name in robot.readings])
+    covariates = {name: samples[name] for name in model.needs}
     R, p = saved.final.poses(readings, covariates, station, target)
     turns = R if saved.turns else None
     rows = dataset(
@@ -158,7 +164,7 @@ def _predicted(saved: SavedModel) -> Dataset:
 
 
 def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
-    """Rows of poses as those of a robot of several limbs are: what a tracker read of targets, each on its own link."""
+    """Rows of poses in the form of a robot of several limbs: a tracker's readings of targets, each on its own link."""
     assert saved.campaign is not None
     model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
@@ -185,9 +191,9 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
 def _nominal(saved: SavedModel, predicted: Dataset) -> Fit:
     """The nominal robot with its frames where these suit the repaired model best."""
     model = saved.final.model
-    own = _frame_coefficients(model)
-    bare = model.with_coefficients(own)
-    return recentred(fit_identifiable(problem(bare, predicted), range(len(own))))
+    frames = _frame_coefficients(model)
+    nominal_model = model.with_coefficients(frames)
+    return recentred(fit_identifiable(problem(nominal_model, predicted), range(len(frames))))
 
 
 def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
@@ -201,17 +207,17 @@ def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
     )
 
 
-def _beside(name: str, solved: SolvedModel, checked: Checked, which: str) -> Stage:
-    """A stage set beside the new rows: what only these tell is fitted to them."""
+def _beside(name: str, solved: SolvedModel, checked: Checked, constants_set: str) -> Stage:
+    """A stage with the residuals of the new rows, their unknowns fitted to them."""
     wide = wide_of(widened(solved), checked.rows)
     question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)
     theta = with_unknowns(question)
     arm = _without_zeros(SolvedModel(wide.solved.model, theta, wide.solved.covariance))
-    return Stage(name, *_fit(question.problem, arm, checked.noise.sigma, which))
+    return Stage(name, *_fit(question.problem, arm, checked.noise.sigma, constants_set))
 
 
 def _without_zeros(solved: SolvedModel) -> SolvedModel:
-    """The same without coefficients that are 0 and known."""
+    """A solved model without coefficients that are 0 and have no variance."""
     keep = np.flatnonzero((solved.theta != 0.0) | (np.diag(solved.covariance) > 0.0))
     coefficients = [solved.model.coefficients[k] for k in keep]
     return SolvedModel(
@@ -219,13 +225,13 @@ def _without_zeros(solved: SolvedModel) -> SolvedModel:
     )
 
 
-def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray, which: str) -> tuple[Fit, np.ndarray]:
+def _fit(rows_problem: Problem, solved: SolvedModel, sigma: np.ndarray, constants_set: str) -> tuple[Fit, np.ndarray]:
     """A solved model as a fit of some rows, with the set of constants that was asked for, and its residuals there, (N, m)."""
-    rows = question.data
+    rows = rows_problem.data
     residual = problem(solved.model, rows).residual(solved.theta)
     model = solved.model
-    every = (*constants(model.robot, which), *_frame_coefficients(model), *model.coefficients)
-    made = Fit(
+    candidates = (*constants(model.robot, constants_set), *_frame_coefficients(model), *model.coefficients)
+    fit = Fit(
         model=solved.model,
         theta=solved.theta,
         covariance=solved.covariance,
@@ -233,11 +239,11 @@ def _fit(question: Problem, solved: SolvedModel, sigma: np.ndarray, which: str) 
         estimated=sigma,
         weight=np.ones(len(rows)),
         residual=residual,
-        candidates=tuple(dict.fromkeys(every)),
+        candidates=tuple(dict.fromkeys(candidates)),
         redundant={},
         convergence=Convergence(steps=0, gradient=0.0, condition=float("nan")),
         spent=float(len(solved.theta)),
         numbers=float((rows.measures * [channel.size for channel in rows.channels]).sum()),
         believed=np.zeros((len(solved.theta), len(solved.theta))),
     )
-    return recentred(made), residual
+    return recentred(fit), residual

@@ -8,7 +8,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS
 from aridcal.engine.fit.problem import Problem
 
-FEWEST = 3
+FEWEST_POSITIONS = 3
 """Positions that tell where a frame is; one pose does."""
 
 
@@ -26,31 +26,31 @@ def frame_start(problem: Problem, theta: np.ndarray, where: str, label: str | No
     model, rows, data = problem.model, problem.rows, problem.data
     at_base = where == "world_base"
     frames, index = (model.world_base, rows.world) if at_base else (model.tip_target, rows.tip)
-    own = (index == [name for name, _ in frames].index(label)) & np.isfinite(data.position).all(axis=1)
-    turned = None if data.rotation is None or np.isnan(data.rotation[own]).any() else data.rotation[own]
-    if own.sum() < (FEWEST if turned is None else 1):
+    of_frame = (index == [name for name, _ in frames].index(label)) & np.isfinite(data.position).all(axis=1)
+    rotations = None if data.rotation is None or np.isnan(data.rotation[of_frame]).any() else data.rotation[of_frame]
+    if of_frame.sum() < (FEWEST_POSITIONS if rotations is None else 1):
         return theta
-    R, p = (values[own] for values in model.poses(theta, rows))
-    seen = data.position[own]
+    R, p = (values[of_frame] for values in model.poses(theta, rows))
+    positions = data.position[of_frame]
     place = {
         c.component: k
         for k, c in enumerate(model.coefficients)
         if c.basis.constant and (c.where, c.station) == (where, label)
     }
     value = np.array([theta[place[c]] for c in FRAME_COMPONENTS])
-    moved = pin.SE3(pin.rpy.rpyToMatrix(value[3:]), value[:3])
-    start = frames[int(index[own][0])][1] * moved
+    offset = pin.SE3(pin.rpy.rpyToMatrix(value[3:]), value[:3])
+    start = frames[int(index[of_frame][0])][1] * offset
     if at_base:
-        turn = _nearest(seen, p) if turned is None else _mean(turned @ R.transpose(0, 2, 1))
-        step = pin.SE3(turn, (seen - p @ turn.T).mean(axis=0))
-        moved = moved * start.inverse() * step * start
+        turn = _nearest(positions, p) if rotations is None else _mean(rotations @ R.transpose(0, 2, 1))
+        step = pin.SE3(turn, (positions - p @ turn.T).mean(axis=0))
+        offset = offset * start.inverse() * step * start
     else:
-        turn = np.eye(3) if turned is None else _mean(R.transpose(0, 2, 1) @ turned)
-        step = pin.SE3(turn, np.einsum("nji,nj->ni", R, seen - p).mean(axis=0))
-        moved = moved * step
-    found = theta.copy()
-    found[[place[c] for c in FRAME_COMPONENTS]] = [*moved.translation, *pin.rpy.matrixToRpy(moved.rotation)]
-    return found
+        turn = np.eye(3) if rotations is None else _mean(R.transpose(0, 2, 1) @ rotations)
+        step = pin.SE3(turn, np.einsum("nji,nj->ni", R, positions - p).mean(axis=0))
+        offset = offset * step
+    theta_new = theta.copy()
+    theta_new[[place[c] for c in FRAME_COMPONENTS]] = [*offset.translation, *pin.rpy.matrixToRpy(offset.rotation)]
+    return theta_new
 
 
 def _mean(rotations: np.ndarray) -> np.ndarray:

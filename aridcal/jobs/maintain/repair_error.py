@@ -1,4 +1,4 @@
-"""How well a repair predicts rows that it was not made with: each new row left out in turn."""
+"""How well a repair predicts rows that it was not fitted to: each new row left out in turn."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ def left_out(checked: Checked, theta: np.ndarray) -> np.ndarray:
         theta: Most likely coefficients with all of them, shape (K,).
     """
     question = checked.question
-    used = np.flatnonzero(~question.dropped)
-    found = np.full((len(checked.rows), len(question.sigma)), np.nan)
-    for part in np.array_split(used, min(FOLDS, len(used))):
+    counting = np.flatnonzero(~question.dropped)
+    residual = np.full((len(checked.rows), len(question.sigma)), np.nan)
+    for part in np.array_split(counting, min(FOLDS, len(counting))):
         dropped = question.dropped.copy()
         dropped[part] = True
         others = replace(question, dropped=dropped)
-        if len(part) == len(used) or _alone(question, others, theta):
+        if len(part) == len(counting) or _alone(question, others, theta):
             continue
-        found[part] = question.problem.residual(likely(others, theta).theta)[part]
-    return found
+        residual[part] = question.problem.residual(likely(others, theta).theta)[part]
+    return residual
 
 
 def _alone(question: Question, others: Question, theta: np.ndarray) -> bool:
-    """True where something unknown is seen by the rows that were left out, and by no other."""
+    """True where an unknown is measured by the rows that were left out, and by no other."""
     unknown = question.unknown
-    every, rest = (np.abs(q.at(theta)[1][:, unknown]).max(axis=0, initial=0.0) for q in (question, others))
-    return bool(np.any((every > 0.0) & (rest == 0.0)))
+    pull_all, pull_others = (np.abs(q.at(theta)[1][:, unknown]).max(axis=0, initial=0.0) for q in (question, others))
+    return bool(np.any((pull_all > 0.0) & (pull_others == 0.0)))

@@ -1,4 +1,4 @@
-"""What new rows refer to and the calibration does not know: instruments around the arm, and frames that are new.
+"""Unknowns of new rows, which the calibration does not hold: instruments around the arm, and new frames.
 
 Each is a number more of the wide model, of which nothing is known beforehand: its prior is as wide as a metre or a radian about
 where it begins, and that is found from the rows themselves with the calibrated arm.
@@ -25,7 +25,7 @@ from aridcal.jobs.calibrate.saved_model import SolvedModel
 from aridcal.jobs.maintain.realign import frame_start
 from aridcal.system.errors import CampaignError
 
-WIDE = 1.0
+SIGMA_OF_UNKNOWNS = 1.0
 """Times what counts as a metre or a radian: the sigma of what is unknown. No start is off by that, so that it holds nothing."""
 
 Place = tuple[str, str | None]
@@ -37,8 +37,8 @@ class Wide:
     """A calibrated model beside new rows.
 
     Attributes:
-        before: As calibrated.
-        solved: With a coefficient for everything that may have moved and for everything unknown, K of them.
+        before: The model as calibrated.
+        solved: The model with a coefficient for everything that may have moved and everything unknown, K of them.
         unknown: Coefficients of which only these rows tell, shape (K,) bool.
         new: Frames of which only these rows tell.
         renamed: True where the only target of the calibration is called ``ONE_TARGET`` here, for there are others.
@@ -59,13 +59,13 @@ class Wide:
         return tuple(sorted(known & set(own), key=str))
 
     def of_calibration(self, c: Coefficient) -> Coefficient:
-        """A coefficient as the calibration knows it."""
+        """A coefficient under the calibration's own label."""
         mine = self.renamed and c.where == "tip_target" and c.station == ONE_TARGET
         return replace(c, station=None) if mine else c
 
 
 def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = None) -> Wide:
-    """The model that new rows are asked about.
+    """The wide model of new rows.
 
     Args:
         solved: See :func:`aridcal.jobs.maintain.hypotheses.widened`.
@@ -77,33 +77,35 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
         MeasurementError: the rows cannot tell where something is that nobody knows.
     """
     model, theta = solved.model.recentred(solved.theta)
-    known = [label for label, _ in model.tip_target]
+    labels = [label for label, _ in model.tip_target]
     model = _with_targets(model, rows)
-    renamed = known == [None] and rows.labels.target is not None
-    new: set[Place] = {("tip_target", label) for label, _ in model.tip_target if label not in (*known, None, TIP)}
+    renamed = labels == [None] and rows.labels.target is not None
+    new: set[Place] = {("tip_target", label) for label, _ in model.tip_target if label not in (*labels, None, TIP)}
     new -= {("tip_target", ONE_TARGET)} if renamed else set()
     fixed: set[Place] = {("tip_target", TIP)}
     for where in ("world_base", "tip_target"):
         if frames is not None and where in frames.model_fields_set:
-            model, place, free = _as_stated(model, where, frames, rows)
+            model, place, free = _as_declared(model, where, frames, rows)
             new, fixed = (new | {place}, fixed) if free else (new, fixed | {place})
-    at = [(c.where, c.station) if c.basis.constant else None for c in model.coefficients]
-    seen = np.array([place in new and _seen(c, rows) for place, c in zip(at, model.coefficients, strict=True)])
-    gone = seen | np.array([place in fixed for place in at])
+    frame_of = [(c.where, c.station) if c.basis.constant else None for c in model.coefficients]
+    fitted = np.array(
+        [place in new and _observed(c, rows) for place, c in zip(frame_of, model.coefficients, strict=True)]
+    )
+    forgotten = fitted | np.array([place in fixed for place in frame_of])
     count, missing = len(solved.theta), len(model.coefficients) - len(solved.theta)
     covariance = np.zeros((count + missing, count + missing))
     covariance[:count, :count] = solved.covariance
     theta = np.concatenate([theta, np.zeros(missing)])
-    covariance[gone], covariance[:, gone] = 0.0, 0.0
-    covariance[seen, seen] = WIDE**2
+    covariance[forgotten], covariance[:, forgotten] = 0.0, 0.0
+    covariance[fitted, fitted] = SIGMA_OF_UNKNOWNS**2
     if rows.direct:
-        asked = problem(model, rows)
+        question = problem(model, rows)
         for where, label in sorted(new, key=str):
-            theta = frame_start(asked, theta, where, label)
+            theta = frame_start(question, theta, where, label)
         model, theta = model.recentred(theta)
-        return Wide(solved, SolvedModel(model, theta, covariance), seen, frozenset(new))
-    model, theta, covariance, of_things = _with_things(_placed(model, theta, rows, new), theta, covariance, rows)
-    unknown = np.concatenate([seen, of_things])
+        return Wide(solved, SolvedModel(model, theta, covariance), fitted, frozenset(new))
+    model, theta, covariance, of_things = _with_things(_with_starts(model, theta, rows, new), theta, covariance, rows)
+    unknown = np.concatenate([fitted, of_things])
     return Wide(solved, SolvedModel(model, theta, covariance), unknown, frozenset(new), renamed)
 
 
@@ -112,89 +114,91 @@ def _with_targets(model: Model, rows: Dataset) -> Model:
     if rows.labels.target is None:
         return model
     frames = dict(model.tip_target)
-    own = list(model.coefficients)
+    coefficients = list(model.coefficients)
     if None in frames:
         frames[ONE_TARGET] = frames.pop(None)
-        mine = [c.where == "tip_target" and c.basis.constant for c in own]
-        own = [replace(c, station=ONE_TARGET) if m else c for c, m in zip(own, mine, strict=True)]
+        on_tip = [c.where == "tip_target" and c.basis.constant for c in coefficients]
+        coefficients = [replace(c, station=ONE_TARGET) if m else c for c, m in zip(coefficients, on_tip, strict=True)]
     for label in sorted(set(rows.labels.target.tolist()) - set(frames)):
         frames[label] = pin.SE3.Identity()
         if label != TIP:
-            own += [Coefficient("tip_target", component, station=label) for component in FRAME_COMPONENTS]
-    return replace(model, coefficients=tuple(own), tip_target=tuple(frames.items()))
+            coefficients += [Coefficient("tip_target", component, station=label) for component in FRAME_COMPONENTS]
+    return replace(model, coefficients=tuple(coefficients), tip_target=tuple(frames.items()))
 
 
-def _as_stated(model: Model, where: str, frames: FrameChoice, rows: Dataset) -> tuple[Model, Place, bool]:
-    """The model with a frame where the rows' own campaign has it, which frame that is, and whether it is to be found."""
+def _as_declared(model: Model, where: str, frames: FrameChoice, rows: Dataset) -> tuple[Model, Place, bool]:
+    """The model with a frame where the rows' own campaign has it, the frame's place, and whether it is fitted."""
     settings = getattr(frames, where)
-    held = dict(getattr(model, where))
-    label = next(iter(held)) if len(held) == 1 else ONE_TARGET if where == "tip_target" else ""
-    if label not in held:
+    places = dict(getattr(model, where))
+    label = next(iter(places)) if len(places) == 1 else ONE_TARGET if where == "tip_target" else ""
+    if label not in places:
         raise CampaignError(
-            f"{rows.title}: frames.{where}: the calibration has several ({', '.join(map(str, held))}), and each is as it was; "
+            f"{rows.title}: frames.{where}: the calibration has several ({', '.join(map(str, places))}), and each is as it was; "
             "delete the key"
         )
     if not settings.identify or {"xyz", "rpy"} & settings.model_fields_set:
-        held[label] = placed(settings).at
-    known = tuple(held.items())
-    moved = replace(model, world_base=known) if where == "world_base" else replace(model, tip_target=known)
-    return moved, (where, label), settings.identify
+        places[label] = placed(settings).at
+    renewed = tuple(places.items())
+    changed = replace(model, world_base=renewed) if where == "world_base" else replace(model, tip_target=renewed)
+    return changed, (where, label), settings.identify
 
 
-def _seen(c: Coefficient, rows: Dataset) -> bool:
+def _observed(c: Coefficient, rows: Dataset) -> bool:
     """False for turns of a target that is a point: they stay as they are."""
     return c.where == "world_base" or c.component not in ANGULAR or rows.sees_turns
 
 
-def _placed(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> Model:
+def _with_starts(model: Model, theta: np.ndarray, rows: Dataset, new: set[Place]) -> Model:
     """The model with new frames and things where the rows have them."""
-    bare = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
-    seen = measured(bare, rows)
+    things = Model(model.robot, (), instruments=rows.instruments, routes=model.routes)
+    readings = measured(things, rows)
     anywhere = ("world_base", None) in new
     arm = replace(model, tip_target=ONE_FRAME, world_base=ONE_FRAME if anywhere else model.world_base)
-    arm, own = _without_target(arm, theta, anywhere)
-    asked = rows_of_data(arm, rows.with_labels(target=None))
-    R, p = arm.poses(own, asked)
+    arm, theta_arm = _without_target(arm, theta, anywhere)
+    arm_rows = rows_of_data(arm, rows.with_labels(target=None))
+    R, p = arm.poses(theta_arm, arm_rows)
     names = [label for label, _ in model.tip_target]
     number = (
         np.zeros(len(rows), dtype=int)
         if rows.labels.target is None
         else np.array([names.index(t) for t in rows.labels.target])
     )
-    held = {k: frame for k, (label, frame) in enumerate(model.tip_target) if ("tip_target", label) not in new}
+    known_frames = {k: frame for k, (label, frame) in enumerate(model.tip_target) if ("tip_target", label) not in new}
     hints = {k: frame for k, (_, frame) in enumerate(model.tip_target)}
-    one = np.zeros(len(rows), dtype=int)  # the base stands in one place for all new rows, or is in R and p already
+    one_world = np.zeros(
+        len(rows), dtype=int
+    )  # the base stands in one place for all new rows, or is in R and p already
     world = None if anywhere else pin.SE3.Identity()
-    found = beginning(NominalRows(rows, seen, R, p, number, hints, held, one, world))
+    starts = beginning(NominalRows(rows, readings, R, p, number, hints, known_frames, one_world, world))
     return replace(
         model,
-        world_base=((None, found.world_base[0]),) if anywhere else model.world_base,
-        tip_target=tuple((label, held.get(k, found.tip_target[k])) for k, label in enumerate(names)),
+        world_base=((None, starts.world_base[0]),) if anywhere else model.world_base,
+        tip_target=tuple((label, known_frames.get(k, starts.tip_target[k])) for k, label in enumerate(names)),
         instruments=rows.instruments,
-        states=found.states,
+        states=starts.states,
     )
 
 
 def _without_target(model: Model, theta: np.ndarray, anywhere: bool) -> tuple[Model, np.ndarray]:
-    """The arm up to its tip, on a base that is known or left out, with its coefficients."""
-    gone = {"tip_target", *(("world_base",) if anywhere else ())}
-    kept = [k for k, c in enumerate(model.coefficients) if c.where not in gone]
-    return model.with_coefficients([model.coefficients[k] for k in kept]), theta[kept]
+    """The arm up to its tip without the target, and without the base where that may be anywhere, with its coefficients."""
+    removed = {"tip_target", *(("world_base",) if anywhere else ())}
+    indices = [k for k, c in enumerate(model.coefficients) if c.where not in removed]
+    return model.with_coefficients([model.coefficients[k] for k in indices]), theta[indices]
 
 
 def _with_things(
     model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Dataset
 ) -> tuple[Model, np.ndarray, np.ndarray, np.ndarray]:
-    """The model with a coefficient for all that may be unknown of the things, and which of these are, shape (U,) bool."""
-    found = [
+    """The model with U coefficients of the things, theta, covariance, and which are unknown altogether, shape (U,) bool."""
+    unknown_things = [
         (Coefficient(things.names[k], things.role.components[c]), float(things.std[k, c]))
         for things in rows.instruments.things.values()
         for k, c in np.argwhere(things.free).tolist()
     ]
-    model = model.with_coefficients((*model.coefficients, *(c for c, _ in found)))
-    std = np.array([s for _, s in found])
-    sizes = np.where(np.isfinite(std), std, WIDE * model.sizes[len(theta) :])
-    wide = np.zeros((len(theta) + len(found),) * 2)
+    model = model.with_coefficients((*model.coefficients, *(c for c, _ in unknown_things)))
+    std = np.array([s for _, s in unknown_things])
+    sizes = np.where(np.isfinite(std), std, SIGMA_OF_UNKNOWNS * model.sizes[len(theta) :])
+    wide = np.zeros((len(theta) + len(unknown_things),) * 2)
     wide[: len(theta), : len(theta)] = covariance
     wide[range(len(theta), len(wide)), range(len(theta), len(wide))] = sizes**2
-    return model, np.concatenate([theta, np.zeros(len(found))]), wide, ~np.isfinite(std)
+    return model, np.concatenate([theta, np.zeros(len(unknown_things))]), wide, ~np.isfinite(std)

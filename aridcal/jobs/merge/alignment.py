@@ -24,10 +24,10 @@ from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.pairs import Pairs, within
 from aridcal.system.errors import MeasurementError
 
-PER_MOVE = 60
+MOST_SAMPLES_PER_MOVE = 60
 """Samples of a move that are used at most: more tell no more, since what the model misses is common to neighbours."""
 
-LONGEST = 60.0
+LONGEST_MOVE = 60.0
 """Moves between standstills further apart are left out, [s]: something else went on there."""
 
 TUKEY = 4.685
@@ -36,23 +36,23 @@ TUKEY = 4.685
 LEAST_SLOPE = 0.3
 """Mean slope of the biweight's psi at least: for Gaussian noise it is 0.8, with half of the moves wild 0.4."""
 
-LARGEST = 0.5
+LARGEST_CLOCK_STEP = 0.5
 """A round moves clocks by no more, [s]: what is linear about a move ends there."""
 
-WILD = 4.0
+WILD_RATIO = 4.0
 """Times the usual distance from the nominal robot beyond which a standstill does not count for the frames: a wrong pair, or a
 target that was moved, would draw them to itself and so hide."""
 
-TRIMS = 10
+MOST_TRIMS = 10
 """Rounds of this at most."""
 
-LEAST_TELLING = 0.05
+LEAST_SPEED_SHARE = 0.05
 """Share of the usual sum of squared speeds below which a move tells nothing: it is a fifth as fast."""
 
-FEWEST = 3
+FEWEST_MOVES = 3
 """Moves without which offset, drift and scatter are not told."""
 
-JUMP = 6.0
+JUMP_SIGMAS = 6.0
 """Sigmas by which the moves after a time are late, compared with those before, if a clock jumped."""
 
 LEAST_JUMP = 0.02
@@ -99,27 +99,27 @@ def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarr
     Returns:
         The frames, of the standstills that are near, and measured minus nominal at all, shape (K, 3).
     """
-    kept = np.ones(len(m), dtype=bool)
-    for _ in range(TRIMS):
-        frames = _fitted(robot, q[kept], m[kept])
-        left = m - frames.target(robot, q)
-        size = np.linalg.norm(left, axis=1)
-        near = size <= WILD * np.median(size)
-        if np.array_equal(near, kept):
+    nearby = np.ones(len(m), dtype=bool)
+    for _ in range(MOST_TRIMS):
+        frames = _best_frames(robot, q[nearby], m[nearby])
+        residual = m - frames.target(robot, q)
+        size = np.linalg.norm(residual, axis=1)
+        near = size <= WILD_RATIO * np.median(size)
+        if np.array_equal(near, nearby):
             break
-        kept = near
-    return frames, left
+        nearby = near
+    return frames, residual
 
 
-def _fitted(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
-    """Frames in closed form, of several starts that which leaves least."""
+def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
+    """Frames in closed form: of several starts the one that leaves least."""
     R, p = tip_frames(robot, q)
-    one = np.zeros(len(m), dtype=int)
-    tried = [
+    one_frame = np.zeros(len(m), dtype=int)
+    candidates = [
         Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
-        for start in start_frames(Posed(R, p, None, m, one, one), None, None, (pin.SE3.Identity(),))
+        for start in start_frames(Posed(R, p, None, m, one_frame, one_frame), None, None, (pin.SE3.Identity(),))
     ]
-    return min(tried, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
+    return min(candidates, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
 
 
 def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -133,9 +133,9 @@ def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarra
 
 
 def improved(
-    clocks: Clocks, robot: Robot, joints: Log, q: np.ndarray, tracker: Log, m: np.ndarray, found: Pairs
+    clocks: Clocks, robot: Robot, joints: Log, q: np.ndarray, tracker: Log, m: np.ndarray, standstills: Pairs
 ) -> tuple[Clocks, Moves]:
-    """One round: what the moves say of the clocks.
+    """Clocks after one round of alignment, and what the moves say of them.
 
     Args:
         clocks: So far.
@@ -144,98 +144,102 @@ def improved(
         q: Its readings, shape (N, columns), [rad] or [m].
         tracker: The tracker's log, M samples.
         m: The target's places, shape (M, 3), [m].
-        found: K standstills of both.
+        standstills: K standstills of both.
 
     Raises:
         MeasurementError: too few moves tell anything.
     """
-    begin, end = clocks.joints(found.begin), clocks.joints(found.end)
-    frames, off = placed(robot, window_means(joints, q, begin, end), window_means(tracker, m, found.begin, found.end))
-    rows, share, move = _samples(tracker, found)
+    begin, end = clocks.joints(standstills.begin), clocks.joints(standstills.end)
+    frames, residual = placed(
+        robot, window_means(joints, q, begin, end), window_means(tracker, m, standstills.begin, standstills.end)
+    )
+    rows, share, move = _samples(tracker, standstills)
     step = max(joints.period, 1e-3)
-    at = clocks.joints(tracker.time[rows])
-    inside = (at > joints.time[0] + step) & (at < joints.time[-1] - step)
-    rows, share, move, at = rows[inside], share[inside], move[inside], at[inside]
-    readings = [np.column_stack([np.interp(at + d, joints.time, column) for column in q.T]) for d in (-step, 0.0, step)]
+    joint_time = clocks.joints(tracker.time[rows])
+    inside = (joint_time > joints.time[0] + step) & (joint_time < joints.time[-1] - step)
+    rows, share, move, joint_time = rows[inside], share[inside], move[inside], joint_time[inside]
+    readings = [
+        np.column_stack([np.interp(joint_time + d, joints.time, column) for column in q.T]) for d in (-step, 0.0, step)
+    ]
     x = [frames.target(robot, one) for one in readings]
     speed = (x[2] - x[0]) / (2 * step)
-    share = _done(speed, share, move, len(found))
-    left = m[rows] - x[1] - (1 - share)[:, None] * off[move] - share[:, None] * off[move + 1]
-    above = np.bincount(move, np.einsum("ni,ni->n", speed, left), minlength=len(found))
-    below = np.bincount(move, np.einsum("ni,ni->n", speed, speed), minlength=len(found))
-    count = np.bincount(move, minlength=len(found))
-    tells = (count >= 3) & (below > 0)
-    if tells.any():
-        tells &= below > LEAST_TELLING * np.median(below[tells])
-    if np.count_nonzero(tells) < FEWEST:
+    share = _way_share(speed, share, move, len(standstills))
+    deviation = m[rows] - x[1] - (1 - share)[:, None] * residual[move] - share[:, None] * residual[move + 1]
+    numerator = np.bincount(move, np.einsum("ni,ni->n", speed, deviation), minlength=len(standstills))
+    denominator = np.bincount(move, np.einsum("ni,ni->n", speed, speed), minlength=len(standstills))
+    count = np.bincount(move, minlength=len(standstills))
+    telling = (count >= 3) & (denominator > 0)
+    if telling.any():
+        telling &= denominator > LEAST_SPEED_SHARE * np.median(denominator[telling])
+    if np.count_nonzero(telling) < FEWEST_MOVES:
         raise MeasurementError(
-            f"{tracker.title}: only {np.count_nonzero(tells)} moves between paired standstills have three samples or more; "
-            f"{FEWEST} are the least. Log faster, or move more slowly"
+            f"{tracker.title}: only {np.count_nonzero(telling)} moves between paired standstills have three samples or more; "
+            f"{FEWEST_MOVES} are the least. Log faster, or move more slowly"
         )
-    delta = above[tells] / below[tells]
-    time = (0.5 * (found.end[:-1] + found.begin[1:]))[tells[:-1]]
+    delta = numerator[telling] / denominator[telling]
+    time = (0.5 * (standstills.end[:-1] + standstills.begin[1:]))[telling[:-1]]
     line, covariance, weight = _line(time - clocks.middle, delta)
-    change = np.clip(line, -LARGEST, LARGEST)
+    change = np.clip(line, -LARGEST_CLOCK_STEP, LARGEST_CLOCK_STEP)
     better = Clocks(clocks.offset + change[0], clocks.drift + change[1], clocks.middle, covariance)
     return better, Moves(time, delta - line[0] - line[1] * (time - clocks.middle), weight)
 
 
-def _samples(tracker: Log, found: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples between standstills, at most so many a move: rows, share of its time, and number of the move."""
+def _samples(tracker: Log, standstills: Pairs) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples between standstills, :data:`MOST_SAMPLES_PER_MOVE` a move: indices, share of its time, and index of the move."""
     rows, share, move = [], [], []
-    for k in range(len(found) - 1):
-        between = within(tracker.time, found.end[k], found.begin[k + 1])
-        lasts = found.begin[k + 1] - found.end[k]
+    for k in range(len(standstills) - 1):
+        between = within(tracker.time, standstills.end[k], standstills.begin[k + 1])
+        lasts = standstills.begin[k + 1] - standstills.end[k]
         count = between.stop - between.start
-        if count > 0 and lasts < LONGEST:
-            some = between.start + np.unique(np.linspace(0, count - 1, min(count, PER_MOVE)).astype(int))
-            rows.append(some)
-            share.append((tracker.time[some] - found.end[k]) / lasts)
-            move.append(np.full(len(some), k))
+        if count > 0 and lasts < LONGEST_MOVE:
+            picked = between.start + np.unique(np.linspace(0, count - 1, min(count, MOST_SAMPLES_PER_MOVE)).astype(int))
+            rows.append(picked)
+            share.append((tracker.time[picked] - standstills.end[k]) / lasts)
+            move.append(np.full(len(picked), k))
     if not rows:
         return np.empty(0, dtype=int), np.empty(0), np.empty(0, dtype=int)
     return np.concatenate(rows), np.concatenate(share), np.concatenate(move)
 
 
-def _done(speed: np.ndarray, share: np.ndarray, move: np.ndarray, count: int) -> np.ndarray:
-    """Share of each move's way that is done at its samples, by the nominal speed at them; shape (N,)."""
+def _way_share(speed: np.ndarray, share: np.ndarray, move: np.ndarray, count: int) -> np.ndarray:
+    """Share of each move's way that lies behind its samples, by the nominal speed at them; shape (N,)."""
     if not len(move):
         return share
     size = np.linalg.norm(speed, axis=1)
     first = np.r_[True, np.diff(move) > 0]
     lasts = np.r_[0.0, np.diff(share)]
-    each = np.where(first, 0.0, 0.5 * (size + np.r_[0.0, size[:-1]]) * lasts)
-    way = np.cumsum(each)
+    path = np.where(first, 0.0, 0.5 * (size + np.r_[0.0, size[:-1]]) * lasts)
+    way = np.cumsum(path)
     start = way[first][np.cumsum(first) - 1]
-    whole = np.bincount(move, each, minlength=count)[move]
-    return np.asarray(np.where(whole > 0, (way - start) / np.where(whole > 0, whole, 1.0), share))
+    path_length = np.bincount(move, path, minlength=count)[move]
+    return np.asarray(np.where(path_length > 0, (way - start) / np.where(path_length > 0, path_length, 1.0), share))
 
 
 def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A robust line: its two numbers, their covariance, and the weights; from the median on, by Tukey's biweight."""
+    """A robust line by Tukey's biweight, from the median on: intercept and slope, their covariance, and the weights."""
     design = np.column_stack([np.ones(len(time)), time])
     line = np.array([np.median(delta), 0.0])
     weight = np.ones(len(time))
-    few = np.sqrt(len(time) / max(len(time) - 2, 1))  # two numbers are fitted: what is left is smaller by so much
+    few_moves = np.sqrt(len(time) / max(len(time) - 2, 1))  # two numbers are fitted: what is left is smaller by so much
     for _ in range(30):
-        left = delta - design @ line
-        scale = max(1.4826 * few * float(np.median(np.abs(left))), 1e-9)
-        u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
+        residual = delta - design @ line
+        scale = max(1.4826 * few_moves * float(np.median(np.abs(residual))), 1e-9)
+        u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
         weight = (1.0 - u * u) ** 2
         normal = design.T @ (weight[:, None] * design)
         line = np.linalg.solve(normal + np.diag([1e-12, 1e-12]), design.T @ (weight * delta))
     # of an M-estimate (Huber 1981, section 7.6): mean square of psi over the squared mean of its slope
-    left = delta - design @ line
-    u = np.clip(left / (TUKEY * scale), -1.0, 1.0)
+    residual = delta - design @ line
+    u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
     slope = max(float(np.mean((1 - u**2) * (1 - 5 * u**2))), LEAST_SLOPE)
-    variance = float(np.sum((weight * left) ** 2)) / max(len(time) - 2, 1) / slope**2
+    variance = float(np.sum((weight * residual) ** 2)) / max(len(time) - 2, 1) / slope**2
     return line, variance * np.linalg.inv(design.T @ design), weight
 
 
 def jump(moves: Moves) -> tuple[float, float] | None:
-    """When a clock jumped, and by how much, [s]; None where nothing says so.
+    """Time and size of a clock's jump, [s]; None where no step is significant.
 
-    A step is fitted beside the line, before each move in turn; that which leaves least is the one, if it is far from nothing.
+    A step is fitted beside the line, before each move in turn; the one that leaves least counts, if it is far from zero.
     """
     n = len(moves.late)
     if n < 8:
@@ -246,13 +250,13 @@ def jump(moves: Moves) -> tuple[float, float] | None:
     for k in range(3, n - 2):
         design = np.column_stack([np.ones(n), time, np.arange(n) >= k])
         inverse = np.linalg.inv(design.T @ design)
-        solved = inverse @ (design.T @ late)
-        left = late - design @ solved
-        if best is None or left @ left < best[0]:
-            noise = max(1.4826 * float(np.median(np.abs(left))) * np.sqrt(n / (n - 3)), 1e-9)
-            best = float(left @ left), k, float(solved[2]), float(noise * np.sqrt(inverse[2, 2]))
+        solution = inverse @ (design.T @ late)
+        residual = late - design @ solution
+        if best is None or residual @ residual < best[0]:
+            noise = max(1.4826 * float(np.median(np.abs(residual))) * np.sqrt(n / (n - 3)), 1e-9)
+            best = float(residual @ residual), k, float(solution[2]), float(noise * np.sqrt(inverse[2, 2]))
     assert best is not None
     _, k, step, sigma = best
-    if abs(step) < JUMP * sigma or abs(step) < LEAST_JUMP:
+    if abs(step) < JUMP_SIGMAS * sigma or abs(step) < LEAST_JUMP:
         return None
     return float(moves.time[k]), step

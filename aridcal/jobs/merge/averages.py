@@ -19,13 +19,13 @@ from aridcal.engine.instruments.pose import rotation_vector
 MOST_CORRELATED = 0.98
 """Above this a standstill's samples are one: they are worth a hundredth of their number."""
 
-SPIKE = 8.0
-"""Sigmas, by the median, beyond which a sample at standstill is none of the place: a reflection, another target."""
+SPIKE_SIGMAS = 8.0
+"""Sigmas, by the median, beyond which a sample at standstill is of something else: a reflection, another target."""
 
 LEAST_WORTH = 1.0
 """Independent samples that a mean rests on at least: itself."""
 
-MANY = 1e6
+FREEDOM_OF_EQUAL = 1e6
 """Degrees of freedom that stand for a variance that is the same in all standstills."""
 
 
@@ -51,7 +51,7 @@ class Averages:
 
 
 def without_spikes(windows: list[slice], position: np.ndarray, step: np.ndarray) -> tuple[list[np.ndarray], int]:
-    """Samples of windows without those that are far from the others, and how many these are.
+    """Indices of the samples in windows without spikes, and the number of spikes.
 
     Args:
         windows: Samples of each of K standstills.
@@ -59,12 +59,12 @@ def without_spikes(windows: list[slice], position: np.ndarray, step: np.ndarray)
         step: To which the instrument rounds it, shape (3,), [m].
     """
     middle = [np.median(position[rows], axis=0) for rows in windows]
-    off = [np.abs(position[rows] - centre) for rows, centre in zip(windows, middle, strict=True)]
-    scatter = 1.4826 * np.array([np.median(one, axis=0) for one in off])
-    limit = SPIKE * np.maximum(np.maximum(scatter, np.median(scatter, axis=0)), step)
-    good = [np.all(one <= most, axis=1) for one, most in zip(off, limit, strict=True)]
-    kept = [np.arange(rows.start, rows.stop)[near] for rows, near in zip(windows, good, strict=True)]
-    return kept, int(sum(np.count_nonzero(~near) for near in good))
+    distances = [np.abs(position[rows] - centre) for rows, centre in zip(windows, middle, strict=True)]
+    scatter = 1.4826 * np.array([np.median(distance, axis=0) for distance in distances])
+    limit = SPIKE_SIGMAS * np.maximum(np.maximum(scatter, np.median(scatter, axis=0)), step)
+    near_centre = [np.all(distance <= largest, axis=1) for distance, largest in zip(distances, limit, strict=True)]
+    samples = [np.arange(rows.start, rows.stop)[near] for rows, near in zip(windows, near_centre, strict=True)]
+    return samples, int(sum(np.count_nonzero(~near) for near in near_centre))
 
 
 def averages(
@@ -73,30 +73,30 @@ def averages(
     """Average samples over windows.
 
     Args:
-        windows: Numbers of the samples of each of K standstills; three at least.
+        windows: Indices of the samples of each of K standstills; three at least.
         position: Shape (N, 3), [m].
         quaternion: x y z w, norm 1, shape (N, 4), or None.
         step: To which the instrument rounds, for each column of std. Where that is more than its noise, no number of samples
             makes a mean better than step / sqrt(12).
     """
     place = np.array([position[rows].mean(axis=0) for rows in windows])
-    left = [position[rows] - mean for rows, mean in zip(windows, place, strict=True)]
-    turned = None
+    residuals = [position[rows] - mean for rows, mean in zip(windows, place, strict=True)]
+    rotations = None
     if quaternion is not None:
-        turned = np.array([mean_rotation(quaternion[rows]) for rows in windows])
-        angles = [_turns(quaternion[rows], mean) for rows, mean in zip(windows, turned, strict=True)]
-        left = [np.hstack(pair) for pair in zip(left, angles, strict=True)]
-    count = np.array([len(one) for one in left])
-    rho = _correlation(left, count)
+        rotations = np.array([mean_rotation(quaternion[rows]) for rows in windows])
+        angles = [_turns(quaternion[rows], mean) for rows, mean in zip(windows, rotations, strict=True)]
+        residuals = [np.hstack(pair) for pair in zip(residuals, angles, strict=True)]
+    count = np.array([len(residual) for residual in residuals])
+    rho = _correlation(residuals, count)
     worth = np.maximum(count[:, None] * (1 - rho) / (1 + rho), LEAST_WORTH)
-    free = np.maximum(worth - 1.0, 0.5)
+    freedom = np.maximum(worth - 1.0, 0.5)
     # a window's variance, as if its samples were as many as they are worth
-    variance = np.array([(one**2).mean(axis=0) for one in left]) * worth / free
-    shrunk, usual = _shrunk(variance, free)
-    squared = shrunk / worth
+    variance = np.array([(residual**2).mean(axis=0) for residual in residuals]) * worth / freedom
+    shrunk, usual = _shrunk(variance, freedom)
+    variance_of_means = shrunk / worth
     if step is not None:
-        squared += np.where(usual < step**2, step**2 / 12, 0.0)
-    return Averages(place, turned, np.sqrt(squared), count, rho, np.sqrt(usual))
+        variance_of_means += np.where(usual < step**2, step**2 / 12, 0.0)
+    return Averages(place, rotations, np.sqrt(variance_of_means), count, rho, np.sqrt(usual))
 
 
 def mean_rotation(quaternion: np.ndarray) -> np.ndarray:
@@ -110,20 +110,20 @@ def mean_rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def _turns(quaternion: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Rotation vectors from the mean to each, about world axes, shape (N, 3), [rad]."""
+    """Rotation vectors from the mean to each quaternion (N, 4), about world axes, shape (N, 3), [rad]."""
     from scipy.spatial.transform import Rotation  # slow to load
 
-    off = Rotation.from_quat(quaternion) * Rotation.from_quat(mean).inv()
-    return rotation_vector(off.as_matrix())
+    rotation = Rotation.from_quat(quaternion) * Rotation.from_quat(mean).inv()
+    return rotation_vector(rotation.as_matrix())
 
 
-def _correlation(left: list[np.ndarray], count: np.ndarray) -> np.ndarray:
+def _correlation(residuals: list[np.ndarray], count: np.ndarray) -> np.ndarray:
     """Correlation of neighbours, pooled over windows, for each column.
 
     Samples about their own mean make it smaller by (1 + 3 rho) / n (Kendall 1954), which is put back.
     """
-    products = np.sum([(one[1:] * one[:-1]).sum(axis=0) for one in left], axis=0)
-    squares = np.sum([(one**2).sum(axis=0) for one in left], axis=0)
+    products = np.sum([(residual[1:] * residual[:-1]).sum(axis=0) for residual in residuals], axis=0)
+    squares = np.sum([(residual**2).sum(axis=0) for residual in residuals], axis=0)
     pairs = float(np.sum(count - 1))
     rho = np.where(squares > 0, products / np.where(squares > 0, squares, 1.0), 0.0) * float(count.sum()) / pairs
     n = max(float(len(count) / np.sum(1.0 / count)), 6.0)
@@ -131,18 +131,20 @@ def _correlation(left: list[np.ndarray], count: np.ndarray) -> np.ndarray:
     return np.asarray(np.clip(rho, 0.0, MOST_CORRELATED))
 
 
-def _shrunk(variance: np.ndarray, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Variances (K, C) of ``free`` degrees of freedom each, shrunk to the usual one of their column, shape (C,)."""
-    pooled = (variance * free).sum(axis=0) / free.sum(axis=0)
+def _shrunk(variance: np.ndarray, freedom: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Variances (K, C) of ``freedom`` degrees of freedom each, shrunk to the usual one of their column, shape (C,)."""
+    pooled = (variance * freedom).sum(axis=0) / freedom.sum(axis=0)
     floor = np.maximum(pooled * 1e-12, 1e-300)
-    logs = np.log(np.maximum(variance, floor)) - digamma(free / 2) + np.log(free / 2)
+    logs = np.log(np.maximum(variance, floor)) - digamma(freedom / 2) + np.log(freedom / 2)
     spread = logs.var(axis=0, ddof=1) if len(logs) > 2 else np.zeros(variance.shape[1])
-    beyond = spread - polygamma(1, free / 2).mean(axis=0)
-    prior = np.array([_inverse_trigamma(b) if b > 0 else MANY for b in beyond]) * 2.0
+    excess = spread - polygamma(1, freedom / 2).mean(axis=0)
+    prior = np.array([_inverse_trigamma(b) if b > 0 else FREEDOM_OF_EQUAL for b in excess]) * 2.0
     centre = np.where(
-        prior < MANY, np.exp(logs.mean(axis=0) + digamma(np.minimum(prior, MANY) / 2) - np.log(prior / 2)), pooled
+        prior < FREEDOM_OF_EQUAL,
+        np.exp(logs.mean(axis=0) + digamma(np.minimum(prior, FREEDOM_OF_EQUAL) / 2) - np.log(prior / 2)),
+        pooled,
     )
-    return (prior * centre + free * variance) / (prior + free), pooled
+    return (prior * centre + freedom * variance) / (prior + freedom), pooled
 
 
 def _inverse_trigamma(value: float) -> float:

@@ -19,7 +19,7 @@ PLUMB_BOB = ("plumb_bob", "rational_polynomial")
 
 MODEL_NUMBERS = 5
 
-RECTIFIED = "rect"
+RECTIFIED_WORD = "rect"
 """In a topic's name: a node has straightened its images, for which not K and D hold but P."""
 
 
@@ -31,9 +31,9 @@ class CameraInfo:
         width: Of its images, [px].
         height: Likewise.
         model: Of the lens.
-        D: Its numbers.
-        K: Row by row, shape (9,), [px].
-        P: Likewise of straightened images, shape (12,).
+        D: Numbers of the lens model.
+        K: Camera matrix row by row, shape (9,), [px].
+        P: Projection matrix of straightened images, likewise, shape (12,).
     """
 
     width: int
@@ -110,36 +110,36 @@ def intrinsics(camera: BagCamera, size: tuple[int, int]) -> tuple[dict[str, Any]
     Returns:
         fx fy cx cy width height distortion, None where nothing usable is stated; and what is to be said.
     """
-    without = "the lens is found from the images themselves by `aridcal detect`, without --intrinsics"
+    remedy = "the lens is found from the images themselves by `aridcal detect`, without --intrinsics"
     if not camera.infos:
-        return None, f"{camera.title}: no CameraInfo belongs to it: {without}"
+        return None, f"{camera.title}: no CameraInfo belongs to it: {remedy}"
     if len(camera.infos) > 1:
-        return None, f"{camera.title}: its CameraInfo changes ({len(camera.infos)} different ones): not used; {without}"
+        return None, f"{camera.title}: its CameraInfo changes ({len(camera.infos)} different ones): not used; {remedy}"
     info = camera.infos[0]
-    straightened = RECTIFIED in camera.topic.lower().rsplit("image", 1)[-1]
+    straightened = RECTIFIED_WORD in camera.topic.lower().rsplit("image", 1)[-1]
     K = (info.P[0], info.P[5], info.P[2], info.P[6]) if straightened else (info.K[0], info.K[4], info.K[2], info.K[5])
     D = () if straightened else info.D
     if not (K[0] > 0 and K[1] > 0 and np.isfinite([*K, *D]).all()):
         return (
             None,
-            f"{camera.title}: its CameraInfo states no focal length, the camera was never calibrated: {without}",
+            f"{camera.title}: its CameraInfo states no focal length, the camera was never calibrated: {remedy}",
         )
     if (info.width, info.height) != size:
         return None, (
             f"{camera.title}: its CameraInfo is of {info.width} x {info.height} pixels, the images have {size[0]} x {size[1]}: "
-            f"not used; {without}"
+            f"not used; {remedy}"
         )
     if any(D) and (info.model not in PLUMB_BOB or any(D[MODEL_NUMBERS:])):
         return None, (
             f"{camera.title}: its CameraInfo has the lens model {info.model!r}, whose numbers k1 k2 p1 p2 k3 alone cannot hold: "
-            f"not used; {without}"
+            f"not used; {remedy}"
         )
     distortion = [*D[:MODEL_NUMBERS], *[0.0] * MODEL_NUMBERS][:MODEL_NUMBERS]
     found = dict(zip(("fx", "fy", "cx", "cy"), K, strict=True))
-    said = " of straightened images (P)" if straightened else ""
+    remark = " of straightened images (P)" if straightened else ""
     return (
         {**found, "width": size[0], "height": size[1], "distortion": distortion},
-        f"{camera.title}: intrinsics{said} from its CameraInfo ({info.model or 'no lens model'})",
+        f"{camera.title}: intrinsics{remark} from its CameraInfo ({info.model or 'no lens model'})",
     )
 
 

@@ -44,7 +44,7 @@ def is_bag(source: object) -> bool:
     return isinstance(source, str | Path) and (Path(source).suffix.lower() in ENDINGS or Path(source).is_dir())
 
 
-def _opened(path: Path) -> AnyReader:
+def _reader(path: Path) -> AnyReader:
     """A bag, to be entered.
 
     Raises:
@@ -64,9 +64,9 @@ def _opened(path: Path) -> AnyReader:
 
 
 def _unreadable(path: Path, problem: Exception) -> MeasurementError:
-    said = " ".join(printable(str(problem)).split())[:200]
+    reason = " ".join(printable(str(problem)).split())[:200]
     return MeasurementError(
-        f"{path}: cannot be read as a bag of ROS: {said}. If it was cut off, repair it (`rosbag reindex`, `ros2 bag reindex`, "
+        f"{path}: cannot be read as a bag of ROS: {reason}. If it was cut off, repair it (`rosbag reindex`, `ros2 bag reindex`, "
         "`mcap recover`), or export its topics as tables"
     )
 
@@ -75,12 +75,12 @@ def _messages(
     path: Path, kinds: tuple[str, ...], use: Callable[[str, str, int, Any], None], topic: str | None = None
 ) -> None:
     """Hand over topic, kind, time of arrival and content of each message of some kinds, of one topic alone where it is named."""
-    reader = _opened(path)
+    reader = _reader(path)
     try:
         with reader:
-            wanted = [one for one in reader.connections if one.msgtype in kinds and topic in (None, one.topic)]
-            if wanted:
-                for connection, arrival, raw in reader.messages(connections=wanted):
+            connections = [one for one in reader.connections if one.msgtype in kinds and topic in (None, one.topic)]
+            if connections:
+                for connection, arrival, raw in reader.messages(connections=connections):
                     use(connection.topic, connection.msgtype, arrival, reader.deserialize(raw, connection.msgtype))
     except MeasurementError:
         raise
@@ -92,7 +92,7 @@ def _stamp(header: Any) -> float:
     return float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
 
 
-def _made(title: str, columns: tuple[str, ...], rows: list[tuple[float, ...]], arrivals: list[float]) -> Log:
+def _log_of_rows(title: str, columns: tuple[str, ...], rows: list[tuple[float, ...]], arrivals: list[float]) -> Log:
     """A log; where no header has a time, that of arrival counts."""
     values = np.array(rows, dtype=float).reshape(len(rows), len(columns) + 1)
     notes: tuple[str, ...] = ()
@@ -112,10 +112,10 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     arrivals: dict[str, list[float]] = {}
-    seen: set[str] = set()
+    names_seen: set[str] = set()
 
     def use(topic: str, kind: str, arrival: int, message: Any) -> None:
-        seen.update(message.name)
+        names_seen.update(message.name)
         where = {name: k for k, name in enumerate(message.name)}
         if set(robot.readings) <= set(where) and len(message.position) == len(message.name):
             readings = [float(message.position[where[name]]) for name in robot.readings]
@@ -124,15 +124,15 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
 
     _messages(path, (JOINTS,), use)
     if not rows:
-        lacking = [name for name in robot.readings if name not in seen]
-        there = f"; its joints are {listed(sorted(seen))}" if seen else "; it has no messages of that kind"
+        lacking = [name for name in robot.readings if name not in names_seen]
+        remark = f"; its joints are {listed(sorted(names_seen))}" if names_seen else "; it has no messages of that kind"
         raise MeasurementError(
             f"{path}: no JointState has positions of all joints of the chain "
             f"({listed(lacking or list(robot.readings))} lacking in "
-            f"some){there}. Record /joint_states of this robot, or choose the --tip whose chain it is"
+            f"some){remark}. Record /joint_states of this robot, or choose the --tip whose chain it is"
         )
     topic = max(rows, key=lambda name: len(rows[name]))
-    log = _made(f"{path.name}:{topic}", robot.readings, rows[topic], arrivals[topic])
+    log = _log_of_rows(f"{path.name}:{topic}", robot.readings, rows[topic], arrivals[topic])
     if len(rows) > 1:
         others = [name for name in rows if name != topic]
         log = Log(log.title, log.time, log.columns, log.values, (*log.notes, f"{path.name}: {listed(others)} not used"))
@@ -171,9 +171,9 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog |
     moving = {name: found for name, found in rows.items() if len({one[1:4] for one in found}) > 1}
     images = _image_topics(path)
     if not moving and not images:
-        there = f" that moves; of {listed(sorted(rows))} nothing does" if rows else ""
+        rest = f" that moves; of {listed(sorted(rows))} nothing does" if rows else ""
         raise MeasurementError(
-            f"{path}: no PoseStamped, PointStamped, TransformStamped or frame of /tf{there} that is no link of the robot, and no "
+            f"{path}: no PoseStamped, PointStamped, TransformStamped or frame of /tf{rest} that is no link of the robot, and no "
             "images. Record what the tracker or the camera publishes, or name its log after the bag"
         )
     names = [*sorted(moving, key=lambda name: -len(moving[name])), *images]
@@ -185,14 +185,14 @@ def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog |
     if names[k] in images:
         return camera(path, names[k])
     columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
-    log = _made(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
+    log = _log_of_rows(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
     return TrackerLog(log, (POSITION,))
 
 
 def _image_topics(path: Path) -> list[str]:
     """Topics of images; of one that is sent raw and compressed the former, and none of depths."""
     with_reader: list[str] = []
-    reader = _opened(path)
+    reader = _reader(path)
     try:
         with reader:
             with_reader += sorted({one.topic for one in reader.connections if one.msgtype in IMAGES and one.msgcount})

@@ -23,18 +23,18 @@ from aridcal.jobs.merge.standstills import Standstills, span_of, standstills
 from aridcal.jobs.print.camera_frames import thumbnail
 from aridcal.system.errors import MeasurementError, printable
 
-MOVES = 0.15
+MOVING_SHARE = 0.15
 """Share of the usual difference between pictures of two stops above which a picture moves: its noise is far below, and a picture
 that is a tenth of the way to the next stop blurs and shifts what is measured in it."""
 
-FLAT = 2.0
+LEAST_DIFFERENCE = 2.0
 """[grey levels] below which pictures of two stops are alike: there is nothing in them that could move."""
 
-MOST = 0.5
+MOST_MOVING_SHARE = 0.5
 """Share of stops with a moving picture above which the clocks, and not the stops, are at fault."""
 
-FEWEST = 3
-"""Rows without which there is no campaign to begin with."""
+FEWEST_ROWS = 3
+"""Fewest rows that a campaign can begin with."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Pictured:
 
     Attributes:
         table: Joints in SI and ``time`` by their clock, shape (K, ...).
-        frames: Numbers of the images in their topic, shape (K,).
-        size: Their width and height, [px].
+        frames: Indices of the images in their topic, shape (K,).
+        size: Width and height of the images, [px].
         unpaired: Standstills that make no row.
         notices: What a user should know.
     """
@@ -76,23 +76,31 @@ def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> P
         np.flatnonzero((t >= a + margin) & (t <= b - margin)) for a, b in zip(still.begin, still.end, strict=True)
     ]
     middle = 0.5 * (still.begin + still.end)
-    chosen = {k: int(rows[np.argmin(np.abs(t[rows] - middle[k]))]) for k, rows in enumerate(windows) if len(rows)}
-    why = dict.fromkeys((k for k in range(len(still)) if k not in chosen), "no image was taken while the joints stood")
-    seen, sizes, broken = _thumbnails(chosen, windows, load)
-    why |= {k: broken[n] for k, n in chosen.items() if n in broken}
-    why |= _other_sizes({k: sizes[n] for k, n in chosen.items() if n in sizes})
-    why |= _moving(chosen, windows, seen, camera)
-    rows = [k for k in chosen if k not in why]
-    if len(rows) < FEWEST:
-        first = next(iter(why.items()), None)
+    frame_of = {k: int(rows[np.argmin(np.abs(t[rows] - middle[k]))]) for k, rows in enumerate(windows) if len(rows)}
+    reasons = dict.fromkeys(
+        (k for k in range(len(still)) if k not in frame_of), "no image was taken while the joints stood"
+    )
+    thumbnails, sizes, faults = _thumbnails(frame_of, windows, load)
+    reasons |= {k: faults[n] for k, n in frame_of.items() if n in faults}
+    reasons |= _reasons_of_size({k: sizes[n] for k, n in frame_of.items() if n in sizes})
+    reasons |= _reasons_of_motion(frame_of, windows, thumbnails, camera)
+    rows = [k for k in frame_of if k not in reasons]
+    if len(rows) < FEWEST_ROWS:
+        first = next(iter(reasons.items()), None)
         because = f"; first, at {still.begin[first[0]]:.3f} s: {first[1]}" if first else ""
         raise MeasurementError(f"{camera.title}: {len(rows)} of {len(still)} standstills have an image{because}")
     readings = [_mean(log.time, q, still, margin, k) for k in rows]
     table = pd.DataFrame(np.array(readings), columns=list(robot.readings)).assign(**{TIME: middle[rows]})
-    unpaired = tuple(Unpaired(log.title, float(still.begin[k]), float(still.end[k]), why[k]) for k in sorted(why))
+    unpaired = tuple(
+        Unpaired(log.title, float(still.begin[k]), float(still.end[k]), reasons[k]) for k in sorted(reasons)
+    )
     clock = "times of arrival" if camera.by_arrival else "stamps"
-    said = f"{camera.title}: one image for each standstill, the nearest to its middle; {clock} of both are by one clock"
-    return Pictured(table, np.array([chosen[k] for k in rows]), sizes[chosen[rows[0]]], unpaired, (*log.notes, said))
+    remark = (
+        f"{camera.title}: one image for each standstill, the nearest to its middle; {clock} of both are by one clock"
+    )
+    return Pictured(
+        table, np.array([frame_of[k] for k in rows]), sizes[frame_of[rows[0]]], unpaired, (*log.notes, remark)
+    )
 
 
 def _mean(time: np.ndarray, q: np.ndarray, still: Standstills, margin: float, k: int) -> np.ndarray:
@@ -101,22 +109,22 @@ def _mean(time: np.ndarray, q: np.ndarray, still: Standstills, margin: float, k:
 
 
 def _thumbnails(
-    chosen: dict[int, int], windows: list[np.ndarray], load: Load
+    frame_of: dict[int, int], windows: list[np.ndarray], load: Load
 ) -> tuple[dict[int, np.ndarray], dict[int, tuple[int, int]], dict[int, str]]:
-    """Each chosen frame and its neighbours made small, their sizes, and why some cannot be read, by number."""
-    wanted = {m for k, n in chosen.items() for m in (n, *_middle(n, windows[k]), *_edges(windows[k]))}
-    small: dict[int, np.ndarray] = {}
+    """Thumbnails of each chosen frame and its neighbours, sizes of the images, and why some cannot be read, by their number."""
+    needed = {m for k, n in frame_of.items() for m in (n, *_middle(n, windows[k]), *_edges(windows[k]))}
+    thumbnails: dict[int, np.ndarray] = {}
     sizes: dict[int, tuple[int, int]] = {}
-    broken: dict[int, str] = {}
+    faults: dict[int, str] = {}
 
     def take(number: int, image: np.ndarray | NotMeasured) -> None:
         if isinstance(image, NotMeasured):
-            broken[number] = printable(str(image))
+            faults[number] = printable(str(image))
             return
-        small[number], sizes[number] = thumbnail(image), (image.shape[1], image.shape[0])
+        thumbnails[number], sizes[number] = thumbnail(image), (image.shape[1], image.shape[0])
 
-    load(frozenset(wanted), take)
-    return small, sizes, broken
+    load(frozenset(needed), take)
+    return thumbnails, sizes, faults
 
 
 def _middle(n: int, rows: np.ndarray) -> list[int]:
@@ -129,12 +137,12 @@ def _edges(rows: np.ndarray) -> list[int]:
     return [int(rows[0]), int(rows[-1])]
 
 
-def _other_sizes(sizes: dict[int, tuple[int, int]]) -> dict[int, str]:
-    """Stops whose image is of another size than most."""
+def _reasons_of_size(sizes: dict[int, tuple[int, int]]) -> dict[int, str]:
+    """Reasons against stops whose image has another size than most."""
     if not sizes:
         return {}
-    each, counts = np.unique(np.array(list(sizes.values())), axis=0, return_counts=True)
-    usual = tuple(each[np.argmax(counts)].tolist())
+    distinct, counts = np.unique(np.array(list(sizes.values())), axis=0, return_counts=True)
+    usual = tuple(distinct[np.argmax(counts)].tolist())
     return {
         k: f"its image has {size[0]} x {size[1]} pixels, the others {usual[0]} x {usual[1]}"
         for k, size in sizes.items()
@@ -142,32 +150,36 @@ def _other_sizes(sizes: dict[int, tuple[int, int]]) -> dict[int, str]:
     }
 
 
-def _moving(
-    chosen: dict[int, int], windows: list[np.ndarray], seen: dict[int, np.ndarray], camera: BagCamera
+def _reasons_of_motion(
+    frame_of: dict[int, int], windows: list[np.ndarray], thumbnails: dict[int, np.ndarray], camera: BagCamera
 ) -> dict[int, str]:
-    """Stops whose picture moves.
+    """Reasons against stops whose picture moves.
 
     Raises:
         MeasurementError: it does at most of them.
     """
-    there = [n for n in chosen.values() if n in seen]
-    apart = [float(np.abs(seen[a] - seen[b]).mean()) for a, b in pairwise(there)]
-    usual = float(np.median(apart)) if apart else 0.0
-    if usual < FLAT:
+    readable = [n for n in frame_of.values() if n in thumbnails]
+    differences = [float(np.abs(thumbnails[a] - thumbnails[b]).mean()) for a, b in pairwise(readable)]
+    usual = float(np.median(differences)) if differences else 0.0
+    if usual < LEAST_DIFFERENCE:
         return {}
 
     def differs(n: int, others: list[int]) -> bool:
-        return any(float(np.abs(seen[m] - seen[n]).mean()) > MOVES * usual for m in others if m in seen and n in seen)
+        return any(
+            float(np.abs(thumbnails[m] - thumbnails[n]).mean()) > MOVING_SHARE * usual
+            for m in others
+            if m in thumbnails and n in thumbnails
+        )
 
     moving = {
         k: "the picture still moves while the joints stand"
-        for k, n in chosen.items()
+        for k, n in frame_of.items()
         if differs(n, _middle(n, windows[k]))
     }
-    late = [k for k, n in chosen.items() if differs(n, _edges(windows[k]))]
-    if len(late) > MOST * len(chosen):
+    late = [k for k, n in frame_of.items() if differs(n, _edges(windows[k]))]
+    if len(late) > MOST_MOVING_SHARE * len(frame_of):
         raise MeasurementError(
-            f"{camera.title}: the picture moves at {len(late)} of {len(chosen)} standstills of the joints. The stamps of "
+            f"{camera.title}: the picture moves at {len(late)} of {len(frame_of)} standstills of the joints. The stamps of "
             "images and joints are of two clocks, or of arrival: let one computer stamp both, or wait longer at each pose"
         )
     return moving

@@ -9,10 +9,10 @@ import numpy as np
 from aridcal.jobs.merge.log import Log
 from aridcal.system.errors import MeasurementError
 
-PERIODS = 2.0
+CELL_PERIODS = 2.0
 """Speeds are compared on a grid of so many periods of the slower log: one sample at least in each cell."""
 
-FINEST = 0.05
+SHORTEST_CELL = 0.05
 """And of cells that are no shorter, [s]."""
 
 MOST_CELLS = 4_000_000
@@ -21,19 +21,19 @@ MOST_CELLS = 4_000_000
 MOST_DRIFT = 1e-3
 """Clocks are told apart by up to so much, [s/s]: quartz is within 100 ppm, a badly set sampling rate within 1,000."""
 
-BLUR = 0.5
+MOST_BLUR = 0.5
 """Drifts are tried so close that the ends of a log are never further from their place, [s]: moves last longer."""
 
-OVERLAP = 20.0
+LEAST_OVERLAP = 20.0
 """Logs that share less are not compared, [s]: by chance any two moves are alike."""
 
-ALIKE = 0.3
+LEAST_CORRELATION = 0.3
 """Correlation from which an offset is looked at more closely."""
 
-CANDIDATES = 12
+MOST_CANDIDATES = 12
 """Offsets that are looked at more closely."""
 
-NEIGHBOUR = 1.0
+CANDIDATE_SPACING = 1.0
 """Of offsets that are nearer one is kept, [s]."""
 
 
@@ -62,9 +62,9 @@ class Clocks:
         return np.asarray((time - self.offset - self.middle) / (1.0 + self.drift) + self.middle)
 
     def std(self, time: np.ndarray) -> np.ndarray:
-        """Sigma of the joints' times, for times of the tracker's clock, [s]."""
-        away = np.column_stack([np.ones(len(time)), time - self.middle])
-        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", away, self.covariance, away)))
+        """Sigma of the joints' times, for times of the tracker's clock, shape (N,), [s]."""
+        terms = np.column_stack([np.ones(len(time)), time - self.middle])
+        return np.asarray(np.sqrt(np.einsum("ni,ij,nj->n", terms, self.covariance, terms)))
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class Candidate:
 
 
 def cells(time: np.ndarray, values: np.ndarray, step: float, title: str) -> np.ndarray:
-    """Speeds between cells of a grid that begins with a log; shape (cells - 1,), NaN where a cell has no sample."""
+    """Speeds between the cells of a time grid that begins with a log; shape (cells - 1,), NaN where a cell has no sample."""
     index = np.floor((time - time[0]) / step).astype(np.int64)
     if index[-1] > MOST_CELLS:
         k = int(np.argmax(np.diff(time)))
@@ -97,8 +97,8 @@ def cells(time: np.ndarray, values: np.ndarray, step: float, title: str) -> np.n
         means = [
             np.bincount(index, column) / count for column in np.column_stack([time - time[0], values - values[0]]).T
         ]
-    moved = np.diff(np.array(means), axis=1)
-    return np.asarray(np.linalg.norm(moved[1:], axis=0) / moved[0])
+    steps = np.diff(np.array(means), axis=1)
+    return np.asarray(np.linalg.norm(steps[1:], axis=0) / steps[0])
 
 
 def correlations(a: np.ndarray, b: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -118,8 +118,8 @@ def correlations(a: np.ndarray, b: np.ndarray, least: int) -> tuple[np.ndarray, 
     n = np.round(n)
     shared = np.maximum(n, 1.0)
     va, vb = saa - sa * sa / shared, sbb - sb * sb / shared
-    good = (n >= least) & (va > 1e-6 * saa.max()) & (vb > 1e-6 * sbb.max())
-    r = np.where(good, (sab - sa * sb / shared) / np.sqrt(np.where(good, va * vb, 1.0)), 0.0)
+    comparable = (n >= least) & (va > 1e-6 * saa.max()) & (vb > 1e-6 * sbb.max())
+    r = np.where(comparable, (sab - sa * sb / shared) / np.sqrt(np.where(comparable, va * vb, 1.0)), 0.0)
     lags = np.arange(size)
     lags = np.where(lags >= len(a), lags - size, lags)
     order = np.argsort(lags)
@@ -135,26 +135,28 @@ def candidates(joints: Log, tips: np.ndarray, tracker: Log, places: np.ndarray) 
         tracker: M samples.
         places: Of its target, shape (M, 3), in any unit.
     """
-    step = max(FINEST, PERIODS * max(joints.period, tracker.period))
+    step = max(SHORTEST_CELL, CELL_PERIODS * max(joints.period, tracker.period))
     a = cells(joints.time, tips, step, joints.title)
     middle = 0.5 * (tracker.time[0] + tracker.time[-1])
-    lasts = tracker.time[-1] - tracker.time[0]
-    often = int(np.floor(MOST_DRIFT * lasts / (2 * BLUR)))
-    found: list[Candidate] = []
-    for drift in np.arange(-often, often + 1) * (MOST_DRIFT / max(often, 1)):
+    duration = tracker.time[-1] - tracker.time[0]
+    steps = int(np.floor(MOST_DRIFT * duration / (2 * MOST_BLUR)))
+    peaks_found: list[Candidate] = []
+    for drift in np.arange(-steps, steps + 1) * (MOST_DRIFT / max(steps, 1)):
         time = tracker.time + drift * (tracker.time - middle)
-        lags, r, n = correlations(a, cells(time, places, step, tracker.title), max(int(OVERLAP / step), 8))
-        evidence = np.where(r > ALIKE, -0.5 * n * np.log1p(-np.minimum(r * r, 1.0 - 1e-9)), 0.0)
+        lags, r, n = correlations(a, cells(time, places, step, tracker.title), max(int(LEAST_OVERLAP / step), 8))
+        evidence = np.where(r > LEAST_CORRELATION, -0.5 * n * np.log1p(-np.minimum(r * r, 1.0 - 1e-9)), 0.0)
         peaks = 1 + np.flatnonzero((evidence[1:-1] >= evidence[:-2]) & (evidence[1:-1] > evidence[2:]))
-        for k in peaks[np.argsort(evidence[peaks])[::-1]][: 4 * CANDIDATES].tolist():
+        for k in peaks[np.argsort(evidence[peaks])[::-1]][: 4 * MOST_CANDIDATES].tolist():
             offset = joints.time[0] - time[0] + step * lags[k]
-            clocks = Clocks(float(offset), float(drift), float(middle), np.diag([step**2 / 12, (BLUR / lasts) ** 2]))
-            found.append(Candidate(clocks, float(r[k]), float(evidence[k])))
-    found.sort(key=lambda one: -one.evidence)
-    kept: list[Candidate] = []
-    for one in found:
-        if all(abs(one.clocks.offset - other.clocks.offset) > NEIGHBOUR for other in kept):
-            kept.append(one)
-        if len(kept) == CANDIDATES:
+            clocks = Clocks(
+                float(offset), float(drift), float(middle), np.diag([step**2 / 12, (MOST_BLUR / duration) ** 2])
+            )
+            peaks_found.append(Candidate(clocks, float(r[k]), float(evidence[k])))
+    peaks_found.sort(key=lambda candidate: -candidate.evidence)
+    distinct: list[Candidate] = []
+    for candidate in peaks_found:
+        if all(abs(candidate.clocks.offset - other.clocks.offset) > CANDIDATE_SPACING for other in distinct):
+            distinct.append(candidate)
+        if len(distinct) == MOST_CANDIDATES:
             break
-    return kept
+    return distinct

@@ -19,8 +19,8 @@ from aridcal.jobs.prepare.guesses import Asker
 from aridcal.jobs.prepare.orientation_columns import sensible
 from aridcal.system.errors import MeasurementError, listed
 
-RATES = (0.5, 2000.0)
-"""Samples a second of what is called a log: slower ones miss whole moves, faster ones no instrument writes."""
+LOG_RATES = (0.5, 2000.0)
+"""Lowest and highest rate of a log, samples a second: slower ones miss whole moves, faster ones no instrument writes."""
 
 EPOCH_BEGINS = 1e8
 """Seconds since 1970 are more, a time since a program began is less: three years."""
@@ -47,7 +47,7 @@ class JointLog:
 
     Attributes:
         log: Its columns are the robot's readings, in their order.
-        units: Units in which the readings may be: one for each column, in each way that is possible.
+        units: Combinations of units in which the readings may be, each with one unit for each column.
         others: Its further columns; None: it has none.
     """
 
@@ -120,27 +120,27 @@ def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> TrackerLog:
         raise MeasurementError(
             f"{table.title}: no columns for the target's position; call them x, y and z. Its columns are {listed(names)}"
         )
-    kept = tuple(name for name in names if np.isfinite(table.numbers(name)[0]).any())
-    log = Log(table.title, seconds, kept, sensible(table, kept))
+    columns = tuple(name for name in names if np.isfinite(table.numbers(name)[0]).any())
+    log = Log(table.title, seconds, columns, sensible(table, columns))
     others = others_of(table, seconds, {*robot.readings, clock}, len(robot.readings))
     return TrackerLog(_complete(log, table, places[0]), tuple(places), others)
 
 
-def _complete(log: Log, table: Table, needed: tuple[str, ...] | None = None) -> Log:
-    """Only samples that have a time and all that is needed, in order."""
-    holes = ~np.isfinite(log.of(needed or log.columns)).all(axis=1)
+def _complete(log: Log, table: Table, required: tuple[str, ...] | None = None) -> Log:
+    """The samples that have a time and all required columns, in order."""
+    holes = ~np.isfinite(log.of(required or log.columns)).all(axis=1)
     timeless = ~np.isfinite(log.time)
-    whole = ~(holes | timeless)
-    log = log.keep(whole, "without a time or a number: left out")
-    return in_order(log, table.line[whole])
+    complete = ~(holes | timeless)
+    log = log.keep(complete, "without a time or a number: left out")
+    return in_order(log, table.line[complete])
 
 
 def _units(log: Log, columns: list[str], robot: Robot) -> tuple[tuple[str, ...], ...]:
-    """Ways in which the readings may be meant: as the header says, else what their sizes allow."""
+    """Units in which the readings may be: as the header says, else all that the sizes allow."""
     turning = np.array([kind != "prismatic" for kind in robot.kinds])
-    said = [unit(column) for column in columns]
-    if all(word in (ANGLES if turns else LENGTHS) for word, turns in zip(said, turning, strict=True)):
-        return (tuple(str(word) for word in said),)
+    units = [unit(column) for column in columns]
+    if all(word in (ANGLES if turns else LENGTHS) for word, turns in zip(units, turning, strict=True)):
+        return (tuple(str(word) for word in units),)
     angles = ("rad", "deg")
     if turning.any() and float(np.abs(log.values[:, turning]).max()) > TURNS:
         angles = ("deg",)  # type: ignore[assignment]
@@ -167,9 +167,9 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
             f"{table.title}: no column for the time of each sample; call it `time`. Its columns are {listed(table.names)}"
         )
     values = table.numbers(column)[0]
-    said = unit(column)
-    if said in TIMES:
-        return column, values * TIMES[str(said)]
+    by_name = unit(column)
+    if by_name in TIMES:
+        return column, values * TIMES[str(by_name)]
     steps = np.diff(values[np.isfinite(values)])
     rising = steps[steps > 0]
     if not len(rising):
@@ -179,14 +179,17 @@ def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[s
             "numbers, not as dates)"
         )
     period, largest = float(np.median(rising)), float(np.nanmax(np.abs(values)))
-    possible = [word for word in ("s", "ms", "us", "ns") if RATES[0] <= 1.0 / (period * TIMES[word]) <= RATES[1]]
+    possible = [
+        word for word in ("s", "ms", "us", "ns") if LOG_RATES[0] <= 1.0 / (period * TIMES[word]) <= LOG_RATES[1]
+    ]
     epoch = next((word for word, most in EPOCH.items() if largest < most), "ns")
     if largest * TIMES[epoch] > EPOCH_BEGINS and epoch in possible:
         possible = [epoch]
     if not possible:
         raise MeasurementError(
-            f"{table.title}: column {column!r} rises by {period:.3g} from sample to sample: in no unit a log of {RATES[0]:g} to "
-            f"{RATES[1]:g} samples a second. Give each sample its own time, and its unit in the header: `time_ms`"
+            f"{table.title}: column {column!r} rises by {period:.3g} from sample to sample: in no unit a log of "
+            f"{LOG_RATES[0]:g} to {LOG_RATES[1]:g} samples a second. Give each sample its own time, and its unit in the "
+            "header: `time_ms`"
         )
     k = 0
     if len(possible) > 1:

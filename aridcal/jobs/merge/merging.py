@@ -17,9 +17,9 @@ from aridcal.jobs.merge.averages import Averages, averages, without_spikes
 from aridcal.jobs.merge.clocks import MOST_DRIFT, Clocks
 from aridcal.jobs.merge.log import Log, seen
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.merge.offsets import FEWEST, best_offset, too_few
+from aridcal.jobs.merge.offsets import FEWEST_STANDSTILLS, best_offset, too_few
 from aridcal.jobs.merge.others import carried
-from aridcal.jobs.merge.pairs import FEWEST as FEWEST_SAMPLES
+from aridcal.jobs.merge.pairs import FEWEST_SAMPLES as FEWEST_SAMPLES
 from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.jobs.merge.written_as import Tracked, in_si, tracked
@@ -28,13 +28,13 @@ from aridcal.jobs.prepare.guesses import Asker
 from aridcal.jobs.prepare.propose import STRANGE_SHARE
 from aridcal.system.errors import MeasurementError
 
-FAR = 10.0
-"""Times the usual distance from the nominal robot that no row is off by."""
+FAR_RATIO = 10.0
+"""Times the usual distance from the nominal robot beyond which a row is refused."""
 
-ROUNDS = 12
-"""Of the alignment; it is done when clocks move by less than :data:`ENOUGH` anywhere in the log."""
+ALIGNMENT_ROUNDS = 12
+"""Of the alignment; it is done when clocks move by less than :data:`CLOCK_CHANGE_AT_END` anywhere in the log."""
 
-ENOUGH = 1e-5
+CLOCK_CHANGE_AT_END = 1e-5
 """[s]: a target at 1 m/s moves by 10 micrometres in it."""
 
 TIME = "time"
@@ -46,10 +46,10 @@ class Unpaired:
     """A standstill that makes no row.
 
     Attributes:
-        log: Whose.
-        begin: By its own clock, [s].
+        log: Title of the log that has it.
+        begin: By that log's clock, [s].
         end: Likewise.
-        why: In words.
+        why: The reason, in words.
     """
 
     log: str
@@ -63,7 +63,7 @@ class Unpaired:
 
 @dataclass(frozen=True)
 class Merged:
-    """What came of two logs.
+    """Rows from two logs, and how they were made.
 
     Attributes:
         table: A row for each standstill, SI.
@@ -75,10 +75,10 @@ class Merged:
         tips: See ``still``.
         tracker: The tracker's log, in SI.
         tracked: Its standstills, speeds in [m/s].
-        found: Windows behind the rows.
-        averages: Of these.
+        found: Windows behind the rows, K of them.
+        averages: Of these windows.
         off: Measured minus nominal at each row, frames fitted, shape (K, 3), [m].
-        unpaired: What makes no row.
+        unpaired: Standstills that make no row.
         notices: What a user should know.
     """
 
@@ -110,26 +110,26 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
     Raises:
         AridcalError: the logs cannot be joined; saying why, and what to do.
     """
-    place = _moving(measured.log, measured.places)
+    place = _moving_place(measured.log, measured.places)
     tracker = seen(measured.log, place)
     raw = tracker.of(place)
-    seen_still = standstills(tracker, raw)
-    best, units = best_offset(robot, joints, tracker, raw, seen_still, _still(joints))
+    tracker_still = standstills(tracker, raw)
+    best, units = best_offset(robot, joints, tracker, raw, tracker_still, _still(joints))
     q = joints.readings(units)
     still = standstills(joints.log, q)
-    found = pairs(best.candidate.clocks, joints.log, still, tracker, seen_still, 1.0)
+    paired = pairs(best.candidate.clocks, joints.log, still, tracker, tracker_still, 1.0)
     times = best.candidate.clocks
-    means = window_means(joints.log, joints.log.values, times.joints(found.begin), times.joints(found.end))
-    middles = np.searchsorted(tracker.time, 0.5 * (found.begin + found.end))
+    means = window_means(joints.log, joints.log.values, times.joints(paired.begin), times.joints(paired.end))
+    middles = np.searchsorted(tracker.time, 0.5 * (paired.begin + paired.end))
     si = tracked(robot, means, tracker, middles, asker)
     q = in_si(si.units, joints.log.values)
-    still, seen_still = standstills(joints.log, q), standstills(si.log, si.position)
-    clocks, moves = _aligned(times, robot, joints.log, q, still, si, seen_still)
-    late = jump(moves)
-    if late is not None:
+    still, tracker_still = standstills(joints.log, q), standstills(si.log, si.position)
+    clocks, moves = _clocks_from_moves(times, robot, joints.log, q, still, si, tracker_still)
+    jumped = jump(moves)
+    if jumped is not None:
         raise MeasurementError(
-            f"{si.log.title}: from {late[0]:.3f} s of its clock on everything is {abs(late[1]):.3g} s "
-            f"{'later' if late[1] > 0 else 'earlier'} "
+            f"{si.log.title}: from {jumped[0]:.3f} s of its clock on everything is {abs(jumped[1]):.3g} s "
+            f"{'later' if jumped[1] > 0 else 'earlier'} "
             "by the joints' clock than before: one of the clocks was set in between. Cut both logs there, and "
             "merge each part by itself"
         )
@@ -139,53 +139,55 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
             f"less than 100, at most {1e6 * MOST_DRIFT:,.0f} are believed. Check the unit of both times, and that no clock was "
             "set in between"
         )
-    wide = pairs(clocks, joints.log, still, si.log, seen_still)
-    found, good = settled(wide, si.log, si.position)
+    windows_of_both = pairs(clocks, joints.log, still, si.log, tracker_still)
+    paired, at_rest = settled(windows_of_both, si.log, si.position)
     creeping = [
         Unpaired(si.log.title, float(a), float(b), "the target never settles: wait longer at each pose")
-        for a, b in zip(wide.begin[~good], wide.end[~good], strict=True)
+        for a, b in zip(windows_of_both.begin[~at_rest], windows_of_both.end[~at_rest], strict=True)
     ]
-    found = found.some(np.flatnonzero(good))
-    if len(found) < FEWEST:
-        raise too_few(joints.log, si.log, len(found))
-    mean = window_means(joints.log, q, clocks.joints(found.begin), clocks.joints(found.end))
-    windows = [within(si.log.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
+    paired = paired.some(np.flatnonzero(at_rest))
+    if len(paired) < FEWEST_STANDSTILLS:
+        raise too_few(joints.log, si.log, len(paired))
+    mean = window_means(joints.log, q, clocks.joints(paired.begin), clocks.joints(paired.end))
+    windows = [within(si.log.time, a, b) for a, b in zip(paired.begin, paired.end, strict=True)]
     samples, spikes = without_spikes(windows, si.position, si.steps[:3])
     average = averages(samples, si.position, si.quaternion, si.steps)
-    _, off = placed(robot, mean, average.position)
-    _refuse_strange(off, average.position, clocks.joints(0.5 * (found.begin + found.end)), si.log.title)
-    table = _table(robot, mean, average, clocks.joints(0.5 * (found.begin + found.end)))
-    own = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
+    _, residual = placed(robot, mean, average.position)
+    _refuse_strange(residual, average.position, clocks.joints(0.5 * (paired.begin + paired.end)), si.log.title)
+    table = _table(robot, mean, average, clocks.joints(0.5 * (paired.begin + paired.end)))
+    own_columns = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
     windows_of = {
-        "joints": (joints.others, clocks.joints(found.begin), clocks.joints(found.end)),
-        "tracker": (measured.others, found.begin, found.end),
+        "joints": (joints.others, clocks.joints(paired.begin), clocks.joints(paired.end)),
+        "tracker": (measured.others, paired.begin, paired.end),
     }
-    further, said = carried(windows_of, own)
-    table = table.assign(**further)
-    spiked = [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
-    alone = _alone(clocks, joints.log, still, si.log, seen_still, wide)
+    columns, remarks = carried(windows_of, own_columns)
+    table = table.assign(**columns)
+    spike_notes = (
+        [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
+    )
+    unpaired = _unpaired(clocks, joints.log, still, si.log, tracker_still, windows_of_both)
     tips = speeds(joints.log, tip_frames(robot, q)[1])
     return Merged(
-        table, clocks, best.candidate.correlation, moves, joints.log, still, tips, si, seen_still, found, average, off,
-        tuple(sorted([*alone, *creeping], key=lambda one: (one.log, one.begin))),
-        (*joints.log.notes, *si.log.notes, *spiked, *said),
+        table, clocks, best.candidate.correlation, moves, joints.log, still, tips, si, tracker_still, paired, average, residual,
+        tuple(sorted([*unpaired, *creeping], key=lambda one: (one.log, one.begin))),
+        (*joints.log.notes, *si.log.notes, *spike_notes, *remarks),
     )  # fmt: skip
 
 
-def _moving(tracker: Log, places: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The first place that moves."""
-    failed: MeasurementError | None = None
+def _moving_place(tracker: Log, places: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
+    """The first place whose values move."""
+    failure: MeasurementError | None = None
     for place in places:
-        there = np.isfinite(tracker.of(place)).all(axis=1)
+        finite = np.isfinite(tracker.of(place)).all(axis=1)
         try:
-            whole = tracker.keep(there)
+            whole = tracker.keep(finite)
             limit_of(speeds(whole, whole.of(place)), tracker.title)
         except MeasurementError as problem:
-            failed = failed or problem
+            failure = failure or problem
         else:
             return place
-    assert failed is not None
-    raise failed
+    assert failure is not None
+    raise failure
 
 
 def _still(joints: JointLog) -> Standstills:
@@ -193,36 +195,42 @@ def _still(joints: JointLog) -> Standstills:
     return standstills(joints.log, joints.readings(joints.units[0]))
 
 
-def _aligned(
-    clocks: Clocks, robot: Robot, joints: Log, q: np.ndarray, still: Standstills, si: Tracked, seen_still: Standstills
+def _clocks_from_moves(
+    clocks: Clocks,
+    robot: Robot,
+    joints: Log,
+    q: np.ndarray,
+    still: Standstills,
+    si: Tracked,
+    tracker_still: Standstills,
 ) -> tuple[Clocks, Moves]:
     """Offset and drift from all moves, round after round."""
     lasts = float(np.ptp(si.log.time))
-    for _ in range(ROUNDS):
-        found = pairs(clocks, joints, still, si.log, seen_still, 1.0)
-        if len(found) < FEWEST:
-            raise too_few(joints, si.log, len(found))
-        better, moves = improved(clocks, robot, joints, q, si.log, si.position, found)
+    for _ in range(ALIGNMENT_ROUNDS):
+        paired = pairs(clocks, joints, still, si.log, tracker_still, 1.0)
+        if len(paired) < FEWEST_STANDSTILLS:
+            raise too_few(joints, si.log, len(paired))
+        better, moves = improved(clocks, robot, joints, q, si.log, si.position, paired)
         change = abs(better.offset - clocks.offset) + 0.5 * lasts * abs(better.drift - clocks.drift)
         clocks = better
-        if change < ENOUGH:
+        if change < CLOCK_CHANGE_AT_END:
             break
     return clocks, moves
 
 
-def _refuse_strange(off: np.ndarray, position: np.ndarray, time: np.ndarray, title: str) -> None:
-    """Refuse rows that no nominal robot is so far from, though it is near the others.
+def _refuse_strange(misses: np.ndarray, position: np.ndarray, time: np.ndarray, title: str) -> None:
+    """Refuse rows that are much farther from the nominal robot than the others.
 
     Raises:
         MeasurementError: naming the first.
     """
-    size = np.linalg.norm(off, axis=1)
+    size = np.linalg.norm(misses, axis=1)
     spread = float(np.sqrt(np.mean(np.sum((position - position.mean(axis=0)) ** 2, axis=1))))
-    strange = np.flatnonzero((size > STRANGE_SHARE * spread) & (size > FAR * np.median(size)))
-    if len(strange):
+    far = np.flatnonzero((size > STRANGE_SHARE * spread) & (size > FAR_RATIO * np.median(size)))
+    if len(far):
         raise MeasurementError(
-            f"{title}: at {time[strange[0]]:.3f} s of the joints' clock, the first of {len(strange)} such among "
-            f"{len(off)} standstills, the target is {1e3 * size[strange[0]]:.3g} mm from where the nominal robot has it, usually "
+            f"{title}: at {time[far[0]]:.3f} s of the joints' clock, the first of {len(far)} such among "
+            f"{len(misses)} standstills, the target is {1e3 * size[far[0]]:.3g} mm from where the nominal robot has it, usually "
             f"{1e3 * np.median(size):.3g} mm. Target or tracker was moved, another target was seen, or a clock was set: cut both "
             "logs there, or delete these samples"
         )
@@ -245,30 +253,30 @@ def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> 
     return pd.DataFrame(columns)
 
 
-def _alone(
-    clocks: Clocks, joints: Log, still: Standstills, tracker: Log, seen_still: Standstills, found: Pairs
+def _unpaired(
+    clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills, paired: Pairs
 ) -> list[Unpaired]:
-    """Standstills that one log has and the other has not, each with the reason."""
-    alone = []
-    for k in sorted(set(range(len(still))) - set(found.joints.tolist())):
+    """Standstills of one log without a partner in the other, each with the reason."""
+    unpaired = []
+    for k in sorted(set(range(len(still))) - set(paired.joints.tolist())):
         a, b = (float(clocks.tracker(np.array([t]))[0]) for t in (still.begin[k], still.end[k]))
         rows = within(tracker.time, a, b)
         if b < tracker.time[0] or a > tracker.time[-1]:
             why = "before or after the tracker's log"
         elif rows.stop - rows.start < max(FEWEST_SAMPLES, 0.5 * (b - a) / tracker.period):
             why = "the tracker lost its target: few samples or none"
-        elif not np.any((seen_still.begin < b) & (seen_still.end > a)):
+        elif not np.any((tracker_still.begin < b) & (tracker_still.end > a)):
             why = "the tracker's target moves"
         else:
             why = "both stand together for too short a time"
-        alone.append(Unpaired(joints.title, float(still.begin[k]), float(still.end[k]), why))
-    for k in sorted(set(range(len(seen_still))) - set(found.tracker.tolist())):
-        a, b = (float(clocks.joints(np.array([t]))[0]) for t in (seen_still.begin[k], seen_still.end[k]))
+        unpaired.append(Unpaired(joints.title, float(still.begin[k]), float(still.end[k]), why))
+    for k in sorted(set(range(len(tracker_still))) - set(paired.tracker.tolist())):
+        a, b = (float(clocks.joints(np.array([t]))[0]) for t in (tracker_still.begin[k], tracker_still.end[k]))
         if b < joints.time[0] or a > joints.time[-1]:
             why = "before or after the joints' log"
         elif not np.any((still.begin < b) & (still.end > a)):
             why = "the joints move, or have no samples"
         else:
             why = "both stand together for too short a time"
-        alone.append(Unpaired(tracker.title, float(seen_still.begin[k]), float(seen_still.end[k]), why))
-    return alone
+        unpaired.append(Unpaired(tracker.title, float(tracker_still.begin[k]), float(tracker_still.end[k]), why))
+    return unpaired

@@ -14,27 +14,27 @@ from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.log_files import JointLog
 from aridcal.jobs.merge.pairs import Pairs, pairs
 from aridcal.jobs.merge.standstills import Standstills, span_of
-from aridcal.jobs.prepare.orientation_columns import CLEAR
-from aridcal.jobs.prepare.propose import SAMPLE, STRANGE_SHARE
+from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
+from aridcal.jobs.prepare.propose import SAMPLE_ROWS, STRANGE_SHARE
 from aridcal.jobs.prepare.units_and_angles import Sample, readings
 from aridcal.system.errors import MeasurementError
 
-FEWEST = 6
-"""Standstills that both logs share at least: the frames alone take nine numbers, and any three fit any three."""
+FEWEST_STANDSTILLS = 6
+"""Fewest standstills that both logs must share: the frames alone take nine numbers, and any three fit any three."""
 
-MANY = 0.5
-"""Of two offsets that of which fewer than this share of the other's standstills pair is no rival: few fit anything."""
+RIVAL_PAIR_SHARE = 0.5
+"""An offset is a rival of another if at least this share of the other's standstills pair with it: few fit anything."""
 
-CONTRARY = 1.0
+RIVAL_CONTRADICTION = 1.0
 """An offset is no rival if one log stands while the other moves for so much longer than with the best one, [s]."""
 
-MOST_CONTRARY = 0.1
+MOST_CONTRADICTED_SHARE = 0.1
 """Share of the time in which the target may move while the joints stand: people walk by, floors shake."""
 
 SHOWN_OFFSETS = 5
 """Offsets that a message names."""
 
-SAME = 1.5
+SAME_OFFSET = 1.5
 """Offsets that are nearer are one, [s]: candidates are a cell of their grid wide, and drifts blur them."""
 
 
@@ -49,43 +49,43 @@ class Judged:
 
 
 def best_offset(
-    robot: Robot, joints: JointLog, tracker: Log, raw: np.ndarray, seen_still: Standstills, still: Standstills
+    robot: Robot, joints: JointLog, tracker: Log, raw: np.ndarray, tracker_still: Standstills, still: Standstills
 ) -> tuple[Judged, tuple[str, ...]]:
     """The offset at which speeds are alike and the standstills fit the nominal robot.
 
     Raises:
         MeasurementError: there is none, or there are several.
     """
-    tried: list[tuple[Candidate, tuple[str, ...]]] = []
+    candidates_and_units: list[tuple[Candidate, tuple[str, ...]]] = []
     for units in joints.units:
         tips = tip_frames(robot, joints.readings(units))[1]
-        tried += [(one, units) for one in candidates(joints.log, tips, tracker, raw)]
-    judged: list[tuple[Judged, tuple[str, ...]]] = []
-    most = 0
-    for candidate, units in tried:
-        found = pairs(candidate.clocks, joints.log, still, tracker, seen_still, 1.0)
-        most = max(most, len(found))
-        if len(found) < FEWEST:
+        candidates_and_units += [(one, units) for one in candidates(joints.log, tips, tracker, raw)]
+    fits: list[tuple[Judged, tuple[str, ...]]] = []
+    most_pairs = 0
+    for candidate, units in candidates_and_units:
+        windows_of_both = pairs(candidate.clocks, joints.log, still, tracker, tracker_still, 1.0)
+        most_pairs = max(most_pairs, len(windows_of_both))
+        if len(windows_of_both) < FEWEST_STANDSTILLS:
             continue
-        some = found.some(np.sort(np.random.default_rng(0).permutation(len(found))[:SAMPLE]))
+        sample = windows_of_both.some(np.sort(np.random.default_rng(0).permutation(len(windows_of_both))[:SAMPLE_ROWS]))
         clocks = candidate.clocks
-        q = window_means(joints.log, joints.log.values, clocks.joints(some.begin), clocks.joints(some.end))
-        m = window_means(tracker, raw, some.begin, some.end)
+        q = window_means(joints.log, joints.log.values, clocks.joints(sample.begin), clocks.joints(sample.end))
+        m = window_means(tracker, raw, sample.begin, sample.end)
         turning = np.array([kind != "prismatic" for kind in robot.kinds])
         ways = readings(Sample(q, turning, m, np.zeros(len(q))), robot)
         if ways:
-            contrary = contradicted(clocks, joints.log, still, tracker, seen_still)
-            judged.append((Judged(candidate, found, ways[0].share, contrary), units))
-    if not judged:
-        if not tried:
+            contrary = contradicted(clocks, joints.log, still, tracker, tracker_still)
+            fits.append((Judged(candidate, windows_of_both, ways[0].share, contrary), units))
+    if not fits:
+        if not candidates_and_units:
             raise MeasurementError(
                 f"{joints.log.title} and {tracker.title}: at no offset of the clocks are the speeds of the nominal "
                 "tip and of the target "
                 "alike for 20 s. Check that both are of one motion, and that the URDF is this robot's"
             )
-        raise too_few(joints.log, tracker, most)
-    fullest = max(len(one.found) for one, _ in judged)
-    rivals = [one for one in judged if len(one[0].found) >= MANY * fullest]
+        raise too_few(joints.log, tracker, most_pairs)
+    fullest = max(len(one.found) for one, _ in fits)
+    rivals = [one for one in fits if len(one[0].found) >= RIVAL_PAIR_SHARE * fullest]
     best = min(rivals, key=lambda one: one[0].share)
     if best[0].share > STRANGE_SHARE:
         raise MeasurementError(
@@ -95,24 +95,24 @@ def best_offset(
             "the URDF is this robot's, "
             "each joint's column and sign, and that neither tracker nor target was moved in between"
         )
-    near = [one for one in rivals if one[0].share <= CLEAR * best[0].share]
+    near = [one for one in rivals if one[0].share <= CLEAR_RATIO * best[0].share]
     best = min(near, key=lambda one: sum(one[0].contrary))
     offset, least = best[0].candidate.clocks.offset, sum(best[0].contrary)
-    apart = [
+    elsewhere = [
         one
         for one, _ in near
-        if abs(one.candidate.clocks.offset - offset) > SAME and sum(one.contrary) < least + CONTRARY
+        if abs(one.candidate.clocks.offset - offset) > SAME_OFFSET and sum(one.contrary) < least + RIVAL_CONTRADICTION
     ]
-    if apart:
-        offsets = sorted({round(one.candidate.clocks.offset) for one in (best[0], *apart)})
-        said = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
+    if elsewhere:
+        offsets = sorted({round(one.candidate.clocks.offset) for one in (best[0], *elsewhere)})
+        listed = ", ".join(map(str, offsets[:SHOWN_OFFSETS])) + (" …" if len(offsets) > SHOWN_OFFSETS else "")
         raise MeasurementError(
-            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {said} s apart: the "
+            f"{joints.log.title} and {tracker.title}: fit as well with the clocks about {listed} s apart: the "
             "program repeats itself, and nothing tells which round is which; or a clock jumped. Log from before the first "
             "move until after the last, or begin with one move that is not repeated"
         )
     shared = _shared(best[0].candidate.clocks, joints.log, tracker)
-    if best[0].contrary[0] > MOST_CONTRARY * shared:
+    if best[0].contrary[0] > MOST_CONTRADICTED_SHARE * shared:
         raise MeasurementError(
             f"{joints.log.title} and {tracker.title}: for {best[0].contrary[0]:.3g} of {shared:.3g} s the "
             "target moves while the joints stand, with the clocks as they agree best. If one of the clocks was set while it ran, "
@@ -122,15 +122,15 @@ def best_offset(
 
 
 def _shared(clocks: Clocks, joints: Log, tracker: Log) -> float:
-    """How long both logs last together, [s]."""
+    """Time that both logs cover, [s]."""
     first, last = clocks.joints(tracker.time[[0, -1]])
     return float(max(min(last, joints.time[-1]) - max(first, joints.time[0]), 0.0))
 
 
 def contradicted(
-    clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracked: Standstills
+    clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills
 ) -> tuple[float, float]:
-    """For how long the target moves while the joints stand, and the joints move while the target stands, [s].
+    """Time for which the target moves while the joints stand, and for which the joints move while the target stands, [s].
 
     Both states lose a margin at both ends, so that clocks that are right to a cell of the grid are not contradicted at each move.
     """
@@ -142,12 +142,12 @@ def contradicted(
     sides = []
     for begin, end, time in (
         (still.begin, still.end, joints.time),
-        (clocks.joints(tracked.begin), clocks.joints(tracked.end), clocks.joints(tracker.time)),
+        (clocks.joints(tracker_still.begin), clocks.joints(tracker_still.end), clocks.joints(tracker.time)),
     ):
-        k = np.clip(np.searchsorted(begin, grid, "right") - 1, 0, None)
-        rests = (begin[k] + margin < grid) & (grid < end[k] - margin)
-        following = np.r_[begin, np.inf][np.where(grid < begin[0], 0, k + 1)]
-        moves = ((grid > end[k] + margin) | (grid < begin[0])) & (grid < following - margin)
+        interval = np.clip(np.searchsorted(begin, grid, "right") - 1, 0, None)
+        rests = (begin[interval] + margin < grid) & (grid < end[interval] - margin)
+        following = np.r_[begin, np.inf][np.where(grid < begin[0], 0, interval + 1)]
+        moves = ((grid > end[interval] + margin) | (grid < begin[0])) & (grid < following - margin)
         next_sample = np.clip(np.searchsorted(time, grid), 1, len(time) - 1)
         moves &= time[next_sample] - time[next_sample - 1] < margin  # of a hole nothing is known
         sides.append((rests, moves))
@@ -159,7 +159,7 @@ def contradicted(
 def too_few(joints: Log, tracker: Log, count: int) -> MeasurementError:
     """The error for logs that share too few standstills."""
     return MeasurementError(
-        f"{joints.title} and {tracker.title}: share {count} standstills, {FEWEST} are the least. Check that both "
+        f"{joints.title} and {tracker.title}: share {count} standstills, {FEWEST_STANDSTILLS} are the least. Check that both "
         "logs are of one motion, "
         "and let the robot stand for two seconds at each pose"
     )

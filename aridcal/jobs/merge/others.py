@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
-    SCATTER,
+    SCATTER_WORDS,
     angle_triples,
     joint_families,
     matrices,
@@ -41,7 +41,7 @@ class Others:
 
 
 def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: int) -> Others:
-    """Columns of a table that are neither its clock, nor joints, nor a place or an orientation, whosoever these are.
+    """Columns of a table that are neither its clock, nor joints, nor any position or orientation.
 
     Args:
         table: The log.
@@ -51,14 +51,16 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
     """
     names = [name for name in table.names if name and name not in used]
     poses = (*positions(table.names), *angle_triples(table.names), *quaternions(table.names))
-    taken = {name for family in (*poses, *joint_families(names, joints)) for name in family.columns}
+    in_families = {name for family in (*poses, *joint_families(names, joints)) for name in family.columns}
     for matrix in matrices(table.names):
-        taken |= {name for way in (*matrix.rotation, *(matrix.position or ())) for name in way}
+        in_families |= {name for way in (*matrix.rotation, *(matrix.position or ())) for name in way}
     clocks = next(spellings for quantity, _, spellings in COVARIATES if quantity == "time")
     clock = named(names, *clocks)
-    free = [name for name in names if name not in taken and name != clock and not set(words(name)) & SCATTER]
-    there = np.flatnonzero(np.isfinite(seconds))
-    order = there[np.argsort(seconds[there], kind="stable")]
+    free = [
+        name for name in names if name not in in_families and name != clock and not set(words(name)) & SCATTER_WORDS
+    ]
+    finite = np.flatnonzero(np.isfinite(seconds))
+    order = finite[np.argsort(seconds[finite], kind="stable")]
     numbers, labels = {}, {}
     for name in free:
         values, is_text = sensible(table, [name])[:, 0], table.numbers(name)[1]
@@ -71,19 +73,19 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
 
 
 def _counts(values: np.ndarray) -> bool:
-    """Whether a column numbers the samples."""
+    """True of a column that counts the samples."""
     steps = np.diff(values)
     return len(steps) > 1 and bool(np.all(steps == steps[0])) and steps[0] != 0
 
 
 def carried(
-    logs: Mapping[str, tuple[Others | None, np.ndarray, np.ndarray]], own: Collection[str]
+    logs: Mapping[str, tuple[Others | None, np.ndarray, np.ndarray]], own_columns: Collection[str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """One value of each further column for each of K windows: the mean of numbers, a label that is the same all through.
+    """One value of each further column for each of K windows: the mean of numbers, or the only label.
 
     Args:
         logs: For ``joints`` and ``tracker``: the columns, and where the windows begin and end by that log's clock, shape (K,).
-        own: Columns that the table has by itself.
+        own_columns: Columns that the table has by itself.
 
     Returns:
         The columns, by their names in the table, and what is to be said of them.
@@ -95,13 +97,13 @@ def carried(
             continue
         first, last = np.searchsorted(log.time, begin), np.searchsorted(log.time, end, "right")
         windows = [slice(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
-        found: dict[str, np.ndarray] = {name: _means(column, windows) for name, column in log.numbers.items()}
-        found |= {name: _constants(column, windows) for name, column in log.labels.items()}
-        lost = [name for name, column in found.items() if _holes(column).all()]
-        holes = {name: int(_holes(column).sum()) for name, column in found.items() if name not in lost}
-        for name in [name for name in found if name not in lost]:
-            title = name if name not in own and name not in columns else f"{which}_{name}"
-            if title in own or title in columns:
+        columns_of_log: dict[str, np.ndarray] = {name: _means(column, windows) for name, column in log.numbers.items()}
+        columns_of_log |= {name: _constants(column, windows) for name, column in log.labels.items()}
+        empty = [name for name, column in columns_of_log.items() if _holes(column).all()]
+        holes = {name: int(_holes(column).sum()) for name, column in columns_of_log.items() if name not in empty}
+        for name in [name for name in columns_of_log if name not in empty]:
+            title = name if name not in own_columns and name not in columns else f"{which}_{name}"
+            if title in own_columns or title in columns:
                 notes.append(
                     f"{log.title}: column {name!r} is not carried over: the table has one of that name, and {title!r}"
                 )
@@ -110,13 +112,13 @@ def carried(
                 notes.append(
                     f"{log.title}: column {name!r} is called {title!r} in the table, which has a {name!r} already"
                 )
-            columns[title] = found[name]
-        kept = [f"{name} ({count} empty)" if count else name for name, count in holes.items()]
-        if kept:
-            notes.append(f"{log.title}: carried over, the mean at each standstill: {listed(kept)}")
-        if lost:
+            columns[title] = columns_of_log[name]
+        carried_over = [f"{name} ({count} empty)" if count else name for name, count in holes.items()]
+        if carried_over:
+            notes.append(f"{log.title}: carried over, the mean at each standstill: {listed(carried_over)}")
+        if empty:
             notes.append(
-                f"{log.title}: not carried over, nothing at any standstill or more than one label: {listed(lost)}"
+                f"{log.title}: not carried over, nothing at any standstill or more than one label: {listed(empty)}"
             )
     return columns, tuple(notes)
 
@@ -126,12 +128,12 @@ def _holes(column: np.ndarray) -> np.ndarray:
 
 
 def _means(values: np.ndarray, windows: list[slice]) -> np.ndarray:
-    """NaN where a window has no number."""
+    """Means over windows; NaN where a window has no number."""
     parts = [values[rows][np.isfinite(values[rows])] for rows in windows]
     return np.array([part.mean() if len(part) else np.nan for part in parts])
 
 
 def _constants(labels: np.ndarray, windows: list[slice]) -> np.ndarray:
-    """Empty where a window has no label, or several."""
+    """Labels of windows; empty where a window has none, or several."""
     parts = [set(labels[rows].tolist()) - {""} for rows in windows]
     return np.array([part.pop() if len(part) == 1 else "" for part in parts], dtype=str)

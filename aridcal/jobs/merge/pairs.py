@@ -10,13 +10,13 @@ from aridcal.jobs.merge.clocks import Clocks
 from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.standstills import Standstills, span_of
 
-SURE = 3.0
+MARGIN_SIGMAS = 3.0
 """Sigmas of the clocks that are dropped at both ends of a standstill."""
 
-FEWEST = 3
+FEWEST_SAMPLES = 3
 """Samples of the tracker that a row rests on at least."""
 
-STAYS = 3.5
+MOST_CREEP_SIGMAS = 3.5
 """Times its sigma by which the mean of a standstill's first third may be off the rest. More is an arm, or an instrument,
 that still settles: that third is dropped."""
 
@@ -26,8 +26,8 @@ class Pairs:
     """Windows in which both logs stand, K of them.
 
     Attributes:
-        joints: Number of the joints' standstill, shape (K,).
-        tracker: Number of the tracker's.
+        joints: Index of the joints' standstill, shape (K,).
+        tracker: Index of the tracker's, shape (K,).
         begin: By the tracker's clock, margins dropped, shape (K,), [s].
         end: Likewise.
     """
@@ -41,43 +41,48 @@ class Pairs:
         return len(self.begin)
 
     def some(self, rows: np.ndarray) -> Pairs:
-        """Only some of them."""
+        """The windows of these indices."""
         return Pairs(self.joints[rows], self.tracker[rows], self.begin[rows], self.end[rows])
 
 
 def pairs(
-    clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracked: Standstills, sure: float = SURE
+    clocks: Clocks,
+    joints: Log,
+    joints_still: Standstills,
+    tracker: Log,
+    tracker_still: Standstills,
+    clock_sigmas: float = MARGIN_SIGMAS,
 ) -> Pairs:
-    """Cut what both stand through; of several standstills of the tracker in one of the joints the longest counts.
+    """Windows in which both logs stand; of several standstills of the tracker in one of the joints the longest counts.
 
     Args:
         clocks: How one clock becomes the other.
         joints: The joints' log.
-        still: Its standstills.
+        joints_still: Its standstills.
         tracker: The tracker's log.
-        tracked: Its standstills.
-        sure: Sigmas of the clocks that are dropped at both ends.
+        tracker_still: Its standstills.
+        clock_sigmas: Sigmas of the clocks that are dropped at both ends.
     """
-    begin, end = clocks.tracker(still.begin), clocks.tracker(still.end)
+    begin, end = clocks.tracker(joints_still.begin), clocks.tracker(joints_still.end)
     margin = max(span_of(joints), span_of(tracker))
-    first = np.searchsorted(tracked.end, begin)
-    found: list[tuple[int, int, float, float]] = []
-    for k in range(len(still)):
+    first = np.searchsorted(tracker_still.end, begin)
+    windows: list[tuple[int, int, float, float]] = []
+    for k in range(len(joints_still)):
         best: tuple[int, int, float, float] | None = None
-        for other in range(int(first[k]), len(tracked)):
-            if tracked.begin[other] > end[k]:
+        for other in range(int(first[k]), len(tracker_still)):
+            if tracker_still.begin[other] > end[k]:
                 break
-            a, b = max(begin[k], tracked.begin[other]), min(end[k], tracked.end[other])
-            unsure = sure * float(clocks.std(np.array([0.5 * (a + b)]))[0])
-            a, b = a + margin + unsure, b - margin - unsure
-            if np.searchsorted(tracker.time, b, "right") - np.searchsorted(tracker.time, a) >= FEWEST and (
+            a, b = max(begin[k], tracker_still.begin[other]), min(end[k], tracker_still.end[other])
+            clock_margin = clock_sigmas * float(clocks.std(np.array([0.5 * (a + b)]))[0])
+            a, b = a + margin + clock_margin, b - margin - clock_margin
+            if np.searchsorted(tracker.time, b, "right") - np.searchsorted(tracker.time, a) >= FEWEST_SAMPLES and (
                 best is None or b - a > best[3] - best[2]
             ):
                 best = k, other, float(a), float(b)
         if best is not None:
-            found.append(best)
+            windows.append(best)
     # one standstill of the tracker through two of the joints': it did not see the move, or turned about its target alone
-    columns = list(zip(*found, strict=True)) if found else [(), (), (), ()]
+    columns = list(zip(*windows, strict=True)) if windows else [(), (), (), ()]
     return Pairs(*(np.array(c, dtype=kind) for c, kind in zip(columns, (int, int, float, float), strict=True)))
 
 
@@ -86,34 +91,34 @@ def within(time: np.ndarray, begin: float, end: float) -> slice:
     return slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end, "right")))
 
 
-def settled(found: Pairs, tracker: Log, places: np.ndarray) -> tuple[Pairs, np.ndarray]:
-    """Drop the beginnings in which the target still creeps.
+def settled(windows_of_both: Pairs, tracker: Log, places: np.ndarray) -> tuple[Pairs, np.ndarray]:
+    """Windows without the beginnings in which the target still creeps.
 
     Args:
-        found: K windows.
+        windows_of_both: K windows.
         tracker: N samples.
         places: Shape (N, 3), [m].
 
     Returns:
         The windows, later where needed, and which are settled at their end, shape (K,) bool.
     """
-    begin, good = found.begin.copy(), np.ones(len(found), dtype=bool)
-    windows = [within(tracker.time, a, b) for a, b in zip(found.begin, found.end, strict=True)]
+    begin, at_rest = windows_of_both.begin.copy(), np.ones(len(windows_of_both), dtype=bool)
+    windows = [within(tracker.time, a, b) for a, b in zip(windows_of_both.begin, windows_of_both.end, strict=True)]
     # a window of ten samples knows its own scatter badly: the usual one counts where it is larger
-    usual = np.median([_scatter(places[rows]) for rows in windows], axis=0)
-    usual = np.maximum(usual, resolution(places))
+    usual_scatter = np.median([_scatter(places[rows]) for rows in windows], axis=0)
+    usual_scatter = np.maximum(usual_scatter, resolution(places))
     for k, rows in enumerate(windows):
         first = rows.start
         while (third := (rows.stop - first) // 3) >= 2:
-            x, rest = places[first : first + third], places[first + third : rows.stop]
-            sigma = np.maximum(_scatter(rest), usual) * np.sqrt(1 / len(x) + 1 / len(rest))
-            if np.all(np.abs(x.mean(axis=0) - rest.mean(axis=0)) <= STAYS * sigma):
+            x, later = places[first : first + third], places[first + third : rows.stop]
+            sigma = np.maximum(_scatter(later), usual_scatter) * np.sqrt(1 / len(x) + 1 / len(later))
+            if np.all(np.abs(x.mean(axis=0) - later.mean(axis=0)) <= MOST_CREEP_SIGMAS * sigma):
                 break
             first += third
-            good[k] = len(rest) >= 6  # else what is left cannot show that it stands
-        good[k] &= rows.stop - first >= FEWEST
+            at_rest[k] = len(later) >= 6  # else what is left cannot show that it stands
+        at_rest[k] &= rows.stop - first >= FEWEST_SAMPLES
         begin[k] = tracker.time[first]
-    return Pairs(found.joints, found.tracker, begin, found.end), good
+    return Pairs(windows_of_both.joints, windows_of_both.tracker, begin, windows_of_both.end), at_rest
 
 
 def _scatter(x: np.ndarray) -> np.ndarray:
@@ -121,9 +126,9 @@ def _scatter(x: np.ndarray) -> np.ndarray:
     if len(x) < 3:
         return np.zeros(x.shape[1])
     line = np.arange(len(x)) - 0.5 * (len(x) - 1)
-    left = x - x.mean(axis=0)
-    left = left - line[:, None] * ((line @ left) / (line @ line))
-    return np.asarray(np.sqrt((left**2).sum(axis=0) / (len(x) - 2)))
+    residual = x - x.mean(axis=0)
+    residual = residual - line[:, None] * ((line @ residual) / (line @ line))
+    return np.asarray(np.sqrt((residual**2).sum(axis=0) / (len(x) - 2)))
 
 
 def resolution(values: np.ndarray) -> np.ndarray:

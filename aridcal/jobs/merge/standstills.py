@@ -9,41 +9,41 @@ import numpy as np
 from aridcal.jobs.merge.log import Log
 from aridcal.system.errors import MeasurementError
 
-SPAN = 0.1
+SHORTEST_SPAN = 0.1
 """Speeds are between means over so many seconds before and after, [s]: short beside a move, long enough to quiet an encoder."""
 
-SAMPLES = 2
-"""Of which there are at least so many, however slow the log is."""
+SPAN_SAMPLES = 2
+"""Fewest samples of such a mean, however slow the log is."""
 
-LEAST = 0.5
+LEAST_STANDSTILL = 0.5
 """A standstill lasts at least as long, [s]: arms that turn back on their way stand for less."""
 
-ABOVE = 4.0
+MOTION_RATIO = 4.0
 """Times the usual speed of noise that is motion. Speeds of noise in three axes are Maxwell's, whose median is 1.54 sigma:
 this is 6 sigma, which noise passes in one of 10^7 samples."""
 
-SLOWEST = 1e-3
+SLOWEST_SHARE = 1e-3
 """Share of the usual speed of motion below which nothing moves, where rounding leaves no noise at all."""
 
-APART = 10.0
+CLASS_RATIO = 10.0
 """Motion is so many times as fast as noise, or there is none."""
 
-SPIKE = 3.0
+SPIKE_SPANS = 3.0
 """A wild sample spoils the speeds of so many spans at most: one before, one after, and itself."""
 
-GAP = 5.0
+GAP_PERIODS = 5.0
 """A hole of so many periods ends a standstill: nothing is known of what was in it."""
 
 
 @dataclass(frozen=True)
 class Standstills:
-    """When a log stands still, K times.
+    """K standstills of a log.
 
     Attributes:
         begin: Time of the first sample of each, shape (K,), [s].
-        end: Time of the last.
+        end: Time of the last sample of each, shape (K,), [s].
         speed: Of each sample of the log, shape (N,); NaN beside holes.
-        limit: The speed below which it stands.
+        limit: Speed below which the log stands.
     """
 
     begin: np.ndarray
@@ -56,12 +56,12 @@ class Standstills:
 
 
 def span_of(log: Log) -> float:
-    """How long the means are that speeds of a log are made of, [s]."""
-    return max(SPAN, (SAMPLES + 0.5) * log.period)
+    """Length of the means that speeds of a log are made of, [s]."""
+    return max(SHORTEST_SPAN, (SPAN_SAMPLES + 0.5) * log.period)
 
 
 def speeds(log: Log, values: np.ndarray) -> np.ndarray:
-    """Distance between the means of the samples before and after, over the time between.
+    """Speeds: distance between the means of the samples before and after, over the time between.
 
     Args:
         log: N samples.
@@ -78,10 +78,10 @@ def speeds(log: Log, values: np.ndarray) -> np.ndarray:
     )
     before = (sums[n + 1] - sums[first]) / (n + 1 - first)[:, None]
     after = (sums[last] - sums[n]) / (last - n)[:, None]
-    moved = after - before
+    step = after - before
     lone = (n == first) | (last == n + 1)
-    time = np.where(lone, 1.0, moved[:, 0])
-    return np.where(lone, np.nan, np.linalg.norm(moved[:, 1:], axis=1) / time)
+    time = np.where(lone, 1.0, step[:, 0])
+    return np.where(lone, np.nan, np.linalg.norm(step[:, 1:], axis=1) / time)
 
 
 def limit_of(speed: np.ndarray, title: str) -> float:
@@ -97,31 +97,33 @@ def limit_of(speed: np.ndarray, title: str) -> float:
     Raises:
         MeasurementError: there are no two classes.
     """
-    there = speed[np.isfinite(speed)]
-    top = float(np.quantile(there, 0.99, method="higher")) if len(there) else 0.0
+    finite = speed[np.isfinite(speed)]
+    top = float(np.quantile(finite, 0.99, method="higher")) if len(finite) else 0.0
     if top <= 0.0:
         raise MeasurementError(f"{title}: nothing moves in it; is it of another day, or of another robot?")
-    logarithm = np.log(np.maximum(there, SLOWEST * top))
+    logarithm = np.log(np.maximum(finite, SLOWEST_SHARE * top))
     counts, edges = np.histogram(logarithm, bins=100)
     centre = 0.5 * (edges[1:] + edges[:-1])
-    below, total = np.cumsum(counts)[:-1], counts.sum()
+    count_below, total = np.cumsum(counts)[:-1], counts.sum()
     weighted = np.cumsum(counts * centre)
     with np.errstate(divide="ignore", invalid="ignore"):
-        between = (weighted[-1] * below - total * weighted[:-1]) ** 2 / (below * (total - below))
-    part = np.exp(edges[1 + int(np.nanargmax(np.where(np.isfinite(between), between, -1.0)))])
-    slow, fast = there[there <= part], there[there > part]
-    quiet, motion = (float(np.median(one)) if len(one) else 0.0 for one in (slow, fast))
-    if motion < APART * max(quiet, SLOWEST * top):
+        between = (weighted[-1] * count_below - total * weighted[:-1]) ** 2 / (count_below * (total - count_below))
+    threshold = np.exp(edges[1 + int(np.nanargmax(np.where(np.isfinite(between), between, -1.0)))])
+    slow, fast = finite[finite <= threshold], finite[finite > threshold]
+    quiet, motion = (
+        float(np.median(speeds_of_class)) if len(speeds_of_class) else 0.0 for speeds_of_class in (slow, fast)
+    )
+    if motion < CLASS_RATIO * max(quiet, SLOWEST_SHARE * top):
         raise MeasurementError(
             f"{title}: nothing that moves can be told from standstills: the faster part of its speeds is only "
-            f"{motion / max(quiet, SLOWEST * top):.2g} times the slower one. The robot has to stand for a second "
+            f"{motion / max(quiet, SLOWEST_SHARE * top):.2g} times the slower one. The robot has to stand for a second "
             "or more between moves"
         )
-    return max(ABOVE * quiet, SLOWEST * motion)
+    return max(MOTION_RATIO * quiet, SLOWEST_SHARE * motion)
 
 
-def standstills(log: Log, values: np.ndarray, least: float = LEAST) -> Standstills:
-    """Find where a log stands still.
+def standstills(log: Log, values: np.ndarray, least: float = LEAST_STANDSTILL) -> Standstills:
+    """The standstills of a log.
 
     Args:
         log: N samples.
@@ -134,11 +136,13 @@ def standstills(log: Log, values: np.ndarray, least: float = LEAST) -> Standstil
     speed = speeds(log, values)
     limit = limit_of(speed, log.title)
     still = speed < limit
-    holes = np.r_[False, np.diff(log.time) > GAP * log.period]
+    holes = np.r_[False, np.diff(log.time) > GAP_PERIODS * log.period]
     label = np.cumsum(np.r_[True, np.diff(still)] | holes)
     first = np.flatnonzero(np.r_[True, np.diff(label) > 0])
     last = np.r_[first[1:] - 1, len(still) - 1]
-    runs = [(a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if still[a] and b - a >= 2 * SAMPLES]
+    runs = [
+        (a, b) for a, b in zip(first.tolist(), last.tolist(), strict=True) if still[a] and b - a >= 2 * SPAN_SAMPLES
+    ]
     runs = _joined(runs, log, values, limit * span_of(log))
     long = [(a, b) for a, b in runs if log.time[b] - log.time[a] >= least]
     if not long:
@@ -148,15 +152,15 @@ def standstills(log: Log, values: np.ndarray, least: float = LEAST) -> Standstil
 
 
 def _joined(runs: list[tuple[int, int]], log: Log, values: np.ndarray, near: float) -> list[tuple[int, int]]:
-    """Runs that a spike of noise parted, made one again: the place after it is the place before it."""
+    """Runs joined again that a spike of noise parted: the place after it is the place before it."""
     joined: list[tuple[int, int]] = []
     for a, b in runs:
         if joined:
             c, d = joined[-1]
-            passed = log.time[a] - log.time[d]
-            hole = np.diff(log.time[d : a + 1]).max() > GAP * log.period
-            apart = float(np.linalg.norm(values[a : b + 1].mean(axis=0) - values[c : d + 1].mean(axis=0)))
-            if passed < SPIKE * span_of(log) and not hole and apart < near:
+            gap = log.time[a] - log.time[d]
+            hole = np.diff(log.time[d : a + 1]).max() > GAP_PERIODS * log.period
+            distance = float(np.linalg.norm(values[a : b + 1].mean(axis=0) - values[c : d + 1].mean(axis=0)))
+            if gap < SPIKE_SPANS * span_of(log) and not hole and distance < near:
                 joined[-1] = (c, b)
                 continue
         joined.append((a, b))

@@ -19,7 +19,7 @@ from aridcal.jobs.prepare.guesses import Asker
 from aridcal.jobs.prepare.propose import STRANGE_SHARE, propose
 from aridcal.system.errors import AridcalError, MeasurementError
 
-NORMS = (0.9, 1.1)
+QUATERNION_NORMS = (0.9, 1.1)
 """Quaternions beyond are none: some programs write four zeros where they know no orientation."""
 
 
@@ -65,31 +65,33 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         proposal = propose(robot.urdf, robot.path, table, asker)
     except MeasurementError as problem:
         raise MeasurementError(str(problem).replace("DataFrame", tracker.title)) from None
-    said = {guess.key: guess.value for guess in proposal.guesses}
-    kind = KINDS.get(said.get("measurements.kind", ""))
+    proposed = {guess.key: guess.value for guess in proposal.guesses}
+    kind = KINDS.get(proposed.get("measurements.kind", ""))
     if kind is None or not kind.tracked:
         raise MeasurementError(
             f"{tracker.title}: holds no positions of a target; merge joins joints and positions or poses"
         )
     if proposal.fit is None or proposal.fit[1] > STRANGE_SHARE:
-        off = (
+        distance = (
             ""
             if proposal.fit is None
             else f" by {1e3 * proposal.fit[0]:.3g} mm, {100 * proposal.fit[1]:.2g} % of their spread"
         )
         raise MeasurementError(
-            f"{tracker.title}: at the standstills that fit best in time the nominal robot misses the targets{off}. "
+            f"{tracker.title}: at the standstills that fit best in time the nominal robot misses the targets{distance}. "
             "Check that the URDF "
             "is this robot's, each joint's column and sign, that neither tracker nor target was moved, and that "
             "both logs are of one "
             "motion"
         )
-    renamed = {name: said[key] for name in (*POSITION, *QUATERNION) if said.get(key := f"measurements.columns.{name}")}
+    renamed = {
+        name: proposed[key] for name in (*POSITION, *QUATERNION) if proposed.get(key := f"measurements.columns.{name}")
+    }
     settings = MeasurementSettings.model_validate(
         {
-            "kind": said["measurements.kind"],
-            "units": said.get("measurements.units") or {},
-            "orientation": said.get("measurements.orientation") or {},
+            "kind": proposed["measurements.kind"],
+            "units": proposed.get("measurements.units") or {},
+            "orientation": proposed.get("measurements.orientation") or {},
             "columns": renamed,
         }
     )
@@ -98,17 +100,21 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         for name, kind in zip(robot.readings, robot.kinds, strict=True)
     )
     place = tuple(renamed.get(name, name) for name in POSITION)
-    own = orientation_columns(settings)
-    needed = place if settings.traits.place_alone else (*place, *own)
-    log = tracker.keep(np.isfinite(tracker.of(needed)).all(axis=1), "without an orientation: left out")
+    orientation = orientation_columns(settings)
+    required = place if settings.traits.place_alone else (*place, *orientation)
+    log = tracker.keep(np.isfinite(tracker.of(required)).all(axis=1), "without an orientation: left out")
     quaternion, steps = None, resolution(log.of(place)) * settings.units.metres
     if settings.traits.oriented:
-        finest = float(resolution(log.of(own)).max())
+        finest = float(resolution(log.of(orientation)).max())
         turn = (
-            2.0 if len(own) == 4 else 1.0 if len(own) == 9 else settings.units.scale(own[0], "angle")
+            2.0
+            if len(orientation) == 4
+            else 1.0
+            if len(orientation) == 9
+            else settings.units.scale(orientation[0], "angle")
         )  # of half angles
         steps = np.r_[steps, np.full(3, turn * finest)]
-        log, quaternion = _rotations(log, own, settings)
+        log, quaternion = _rotations(log, orientation, settings)
     words = tuple(g.why for g in proposal.guesses if g.key in ("measurements.units", "measurements.orientation"))
     return Tracked(log, log.of(place) * settings.units.metres, quaternion, steps, units, words)
 
@@ -117,9 +123,11 @@ def _rotations(log: Log, columns: tuple[str, ...], settings: MeasurementSettings
     """Quaternions of all samples; those that hold none are left out."""
     cells = log.of(columns)
     if len(columns) == 4:
-        good = np.abs(np.linalg.norm(cells, axis=1) - 0.5 * sum(NORMS)) < 0.5 * (NORMS[1] - NORMS[0])
-        log = log.keep(good, "whose quaternion has no norm of 1: left out")
-        return log, normalised(cells[good], np.ones(int(good.sum()), dtype=bool))[0]
+        unit_norm = np.abs(np.linalg.norm(cells, axis=1) - 0.5 * sum(QUATERNION_NORMS)) < 0.5 * (
+            QUATERNION_NORMS[1] - QUATERNION_NORMS[0]
+        )
+        log = log.keep(unit_norm, "whose quaternion has no norm of 1: left out")
+        return log, normalised(cells[unit_norm], np.ones(int(unit_norm.sum()), dtype=bool))[0]
     scales = [1.0 if settings.orientation.matrix else settings.units.scale(name, "angle") for name in columns]
     try:
         return log, np.asarray(turned(cells * scales, settings).as_quat())

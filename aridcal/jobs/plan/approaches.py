@@ -14,12 +14,12 @@ BACK_ANGLE, BACK_LENGTH = 0.05, 0.02
 
 @dataclass(frozen=True)
 class Approaches:
-    """How n configurations are come to.
+    """Approaches of n configurations.
 
     Attributes:
         sides: -1 where a joint comes from above, 1 from below, 0 where it does not move, shape (n, columns).
-        via: Readings by way of which each is come to, shape (n, columns); NaN where there are none.
-        straight: True where all joints move so by themselves, on a straight way in joints from the configuration before, (n,).
+        via: Readings of the way point before each, shape (n, columns); NaN where there is none.
+        straight: True where joints come from these sides on a straight way in joints from the configuration before, shape (n,).
     """
 
     sides: np.ndarray
@@ -33,7 +33,7 @@ class Approaches:
 
 
 def still_of(kinds: tuple[str, ...]) -> np.ndarray:
-    """By how little each joint moves where it counts as not moving at all, shape (columns,), [rad] or [m]."""
+    """Largest move of each joint that counts as none, shape (columns,), [rad] or [m]."""
     return np.array([SAME_LENGTH if kind == "prismatic" else SAME_ANGLE for kind in kinds])
 
 
@@ -96,12 +96,12 @@ def _paired(reading: np.ndarray, natural: np.ndarray, room: np.ndarray, rng: np.
     forced = np.where(room.all(axis=1), 0.0, np.where(room[:, 0], 1.0, -1.0))
     sides = np.where(natural == 0.0, chance, natural)
     order = np.argsort(reading, kind="stable")
-    for a, b in zip(order[::2].tolist(), order[1::2].tolist(), strict=False):
-        if forced[a] or forced[b]:
-            sides[a] = forced[a] or -forced[b]
-            sides[b] = forced[b] or -forced[a]
-        elif sides[a] == sides[b]:
-            sides[a if chance[a] > 0 else b] *= -1.0
+    for lower, upper in zip(order[::2].tolist(), order[1::2].tolist(), strict=False):
+        if forced[lower] or forced[upper]:
+            sides[lower] = forced[lower] or -forced[upper]
+            sides[upper] = forced[upper] or -forced[lower]
+        elif sides[lower] == sides[upper]:
+            sides[lower if chance[lower] > 0 else upper] *= -1.0
     if len(reading) % 2:
         last = order[-1]
         sides[last] = forced[last] or sides[last]

@@ -26,12 +26,12 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements, with_routes
 from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
-from aridcal.jobs.plan.clearance import THICK
+from aridcal.jobs.plan.clearance import ARM_HALF_THICKNESS
 from aridcal.jobs.plan.mounting import mounting_side, stands_above
 from aridcal.system.errors import CampaignError, MeasurementError, listed
 from aridcal.system.progress import SILENT, Progress
 
-PLANNED = tuple(name for name, kind in KINDS.items() if not kind.of_head)
+PLANNED_KINDS = tuple(name for name, kind in KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
 these are found in the image: that is known of images only."""
 
@@ -40,13 +40,13 @@ ANGLES_ALONE = (
 )
 """What the sigma of the target does not hold where directions of gravity are measured."""
 
-HELD = (
+GRASP_NOTICE = (
     "planned are postures in which {} and {} hold the body as in the last row, {}: it must not be let go since; taken anew, it "
     "needs a few rows under another label first"
 )
 """Of two links that hold one body: only as it was held is it known where these can be."""
 
-WHERE = {
+KEYS_OF_PLACES = {
     "point": "points: points.csv",
     "distance": "anchors: {NAME: {xyz: [x, y, z]}}",
     "plane": "planes: {NAME: {normal: [x, y, z], offset: o}}",
@@ -54,7 +54,7 @@ WHERE = {
 }
 """What says where the things are that rows of a kind refer to."""
 
-USUAL = 200
+POSTURES_FOR_OVERLAPS = 200
 """Postures of which two shapes that touch in every one overlap by themselves: they say nothing of collisions."""
 
 OFFSET = 3
@@ -63,22 +63,22 @@ OFFSET = 3
 
 @dataclass(frozen=True)
 class Beforehand:
-    """What is known.
+    """What is known before new rows are planned.
 
     Attributes:
-        campaign: What is to be measured, how, and what may be identified.
+        campaign: With what is to be measured, how, and what may be identified.
         robot: The nominal chain.
         model: Everything that may be identified, K coefficients; things where they are known to be.
-        theta: Their values, shape (K,).
-        prior: How large each is expected to be by itself, [rad] or [m] or what its basis makes of these, shape (K,); infinite
-            where nothing is expected.
+        theta: Coefficients, shape (K,).
+        prior: Standard deviation expected of each coefficient by itself, [rad] or [m] per unit of its basis, shape (K,);
+            infinite where nothing is expected.
         sigma: Noise of each channel, shape (C,).
-        rows: Those fitted; none where nothing was measured yet.
-        weight: Of each, shape (N,).
-        patterns: Rows of which each new one is a copy with other readings: of every thing that it may refer to, one.
-        bodies: What of the arm can touch what.
+        rows: The rows that were fitted, N of them; none where nothing was measured yet.
+        weight: Of each row, shape (N,).
+        patterns: Rows of which each new one is a copy with other readings: one for every thing that a row may refer to.
+        bodies: Shapes of the arm and of boxes that can touch.
         side: Of the mounting plane, on which arm and target are kept, see :func:`mounting_side`; 0 where they are not.
-        notices: What had to be assumed.
+        notices: Assumptions, in words.
     """
 
     campaign: Campaign
@@ -96,7 +96,7 @@ class Beforehand:
 
     @property
     def boxes(self) -> tuple[Box, ...]:
-        """What the campaign keeps the arm out of."""
+        """Boxes that the campaign keeps the arm out of."""
         return self.campaign.design.keep_out or ()
 
     @property
@@ -106,11 +106,13 @@ class Beforehand:
             return f"kept out of: itself and the {len(self.boxes)} boxes of design.keep_out"
         if self.side:
             plane = f"the mounting plane z = 0 of {self.robot.base}"
-            return f"kept out of: itself and {plane}, by {1e3 * THICK:.0f} mm (other limits: design.keep_out)"
+            return (
+                f"kept out of: itself and {plane}, by {1e3 * ARM_HALF_THICKNESS:.0f} mm (other limits: design.keep_out)"
+            )
         return "kept out of: itself alone; floor, tables and walls are not known: state them as design.keep_out"
 
     def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
-        """The same with more that may be identified, perhaps each with how large it is expected to be."""
+        """The setup with more coefficients that may be identified, perhaps with the standard deviation expected of each."""
         model = self.model.with_coefficients((*self.model.coefficients, *more))
         expected = np.full(len(more), np.inf) if prior is None else prior
         theta = np.concatenate([self.theta, np.zeros(len(more))])
@@ -118,24 +120,24 @@ class Beforehand:
 
 
 def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
-    """What a campaign's tables tell, or, where they are not there yet, what it says itself.
+    """The setup of a plan, from the campaign's tables or, before there are any, from the campaign alone.
 
     Raises:
         AridcalError: new rows of its kind cannot be planned, or something of it needs mending.
     """
     kind = campaign.measurements.kind
-    if kind not in PLANNED:
+    if kind not in PLANNED_KINDS:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
-            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED[1:])}"
+            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED_KINDS[1:])}"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
     remarks = (ANGLES_ALONE,) if KINDS[kind].level else ()
     if not missing:
-        found = _measured(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
-        return replace(found, notices=(*remarks, *found.notices))
+        setup = _from_rows(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
+        return replace(setup, notices=(*remarks, *setup.notices))
     if len(missing) < len(files):
         raise MeasurementError(
             f"{missing[0]}: there is no such file, though others of {campaign.path} are there: take it out of the campaign, and "
@@ -151,25 +153,25 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
             "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
         )
-    found = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
-    return replace(found, notices=(*remarks, *found.notices))
+    setup = _from_nothing(campaign, robot, bodies(campaign.design.keep_out or (), robot))
+    return replace(setup, notices=(*remarks, *setup.notices))
 
 
 def bodies(keep_out: Sequence[Box], robot: Robot) -> Bodies:
-    """What of the arm can touch what, the boxes of a campaign among it."""
+    """Shapes that can touch each other: those of the arm's links, and a campaign's boxes."""
     boxes = [(np.array(box.min), np.array(box.max)) for box in keep_out]
-    return bodies_of(robot, boxes, draw_readings(robot, USUAL, np.random.default_rng(0)))
+    return bodies_of(robot, boxes, draw_readings(robot, POSTURES_FOR_OVERLAPS, np.random.default_rng(0)))
 
 
-def _unshaped(robot: Robot, bodies: Bodies) -> tuple[str, ...]:
-    """That limbs may meet where nothing is known of their shapes."""
+def _shape_notices(robot: Robot, bodies: Bodies) -> tuple[str, ...]:
+    """A notice where limbs may meet and the URDF has no shapes of them."""
     if not robot.others or bodies.shaped:
         return ()
     return ("the URDF has no collision shapes: whether limbs touch each other is not looked at",)
 
 
-def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
-    """Frames, constants and declared effects from the rows that are there."""
+def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
+    """The setup with frames, constants and declared effects fitted to the rows so far."""
     progress("reading the measurements")
     rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
     question = campaign.question
@@ -179,9 +181,9 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
     fit = geometry.geometric
     if campaign.effects:
         fit = fit_arm(question.without_search(), geometry, rows, progress).diagnosed.fit
-    there = set(fit.model.names)
-    others = tuple(c for c in geometry.geometric.candidates if c.name not in there)
-    model = fit.model.with_coefficients((*fit.model.coefficients, *others))
+    fitted = set(fit.model.names)
+    to_identify = tuple(c for c in geometry.geometric.candidates if c.name not in fitted)
+    model = fit.model.with_coefficients((*fit.model.coefficients, *to_identify))
     notices = []
     if len(campaign.blocks) > 1:
         notices.append(f"planned are rows of the first block, {campaign.measurements.title}")
@@ -189,74 +191,76 @@ def _measured(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progre
         notices.append(f"planned are rows at the station of the last row, {rows.labels.station[rows.as_read[-1]]}")
     patterns = _patterns(rows)
     if campaign.measurements.links is not None:
-        notices.append(HELD.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
+        notices.append(GRASP_NOTICE.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
     return Beforehand(
         campaign=campaign,
         robot=robot,
         model=model,
-        theta=np.concatenate([fit.theta, np.zeros(len(others))]),
-        prior=np.full(len(fit.theta) + len(others), np.inf),
+        theta=np.concatenate([fit.theta, np.zeros(len(to_identify))]),
+        prior=np.full(len(fit.theta) + len(to_identify), np.inf),
         sigma=fit.sigma,
         rows=rows.fitted,
         weight=fit.weight,
         patterns=patterns,
         bodies=bodies,
         side=_side(campaign, robot, rows.readings),
-        notices=(*notices, *bodies.unread, *_unshaped(robot, bodies)),
+        notices=(*notices, *bodies.unread, *_shape_notices(robot, bodies)),
     )
 
 
-def _side(campaign: Campaign, robot: Robot, measured: np.ndarray) -> float:
+def _side(campaign: Campaign, robot: Robot, readings: np.ndarray) -> float:
     """The side of the mounting plane that plans keep to; none where the campaign says what to keep out of, or rows went below.
 
     Args:
         campaign: What is to be measured.
         robot: The chain.
-        measured: Readings of the rows so far, shape (n, columns).
+        readings: Readings of the rows so far, shape (n, columns).
     """
     if robot.others:  # a torso stands on no plane that its arms could not go below
         return 0.0
     side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
-    flanges = tip_frames(robot, measured)[1]
-    return side if side and stands_above(robot, side, measured, flanges).all() else 0.0
+    flanges = tip_frames(robot, readings)[1]
+    return side if side and stands_above(robot, side, readings, flanges).all() else 0.0
 
 
 def _patterns(rows: Dataset) -> Dataset:
     """One row for everything that rows of the first block refer to, at the station of the last row, held as there."""
-    own = rows.labels.block == 0
+    usable = rows.labels.block == 0
     if rows.blocks[0].traits.joins:
-        in_order = rows.as_read[own[rows.as_read]]
-        own &= rows.labels.refers[:, 0] == rows.labels.refers[in_order[-1], 0]
+        in_order = rows.as_read[usable[rows.as_read]]
+        usable &= rows.labels.refers[:, 0] == rows.labels.refers[in_order[-1], 0]
     if rows.labels.station is not None:
-        own &= rows.labels.station == rows.labels.station[rows.as_read[-1]]
-    told = np.full((len(rows), 1), "") if rows.labels.target is None else rows.labels.target[:, None].astype(str)
-    told = np.hstack([rows.labels.refers.astype(str), told])
-    number = np.flatnonzero(own)
-    _, first = np.unique(told[own], axis=0, return_index=True)
-    some = rows.select(number[np.sort(first)])
+        usable &= rows.labels.station == rows.labels.station[rows.as_read[-1]]
+    references = np.full((len(rows), 1), "") if rows.labels.target is None else rows.labels.target[:, None].astype(str)
+    references = np.hstack([rows.labels.refers.astype(str), references])
+    indices = np.flatnonzero(usable)
+    _, first = np.unique(references[usable], axis=0, return_index=True)
+    patterns = rows.select(indices[np.sort(first)])
     typical = {
-        name: np.full(len(some), np.nanmean(v[own])) for name, v in rows.covariates.items() if np.isfinite(v[own]).any()
+        name: np.full(len(patterns), np.nanmean(v[usable]))
+        for name, v in rows.covariates.items()
+        if np.isfinite(v[usable]).any()
     }
-    return replace(some, covariates=typical, relative=None).with_repeats(share=1.0)
+    return replace(patterns, covariates=typical, relative=None).with_repeats(share=1.0)
 
 
 def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
-    """The nominal robot with the campaign's hints, and things where these say that they are."""
+    """The setup before any row: the nominal robot, with frames and things where the campaign's hints say."""
     settings = campaign.measurements
     if campaign.question.by_station:
         raise CampaignError(
             f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
             "without this key"
         )
-    known = known_of(campaign)
-    refers = _referred(campaign, known)
+    things = known_of(campaign)
+    refers = _labels_referred(campaign, things)
     labels = _targets(campaign, robot)
     refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))
     middle = np.clip(np.zeros(len(robot.readings)), *robot.limits.T)
     kind, n = settings.traits, len(refers)
     channels = kind.channels
-    stated = tuple(getattr(settings.noise, channel.name) for channel in channels)
-    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(stated, channels, strict=True)])
+    declared = tuple(getattr(settings.noise, channel.name) for channel in channels)
+    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(declared, channels, strict=True)])
     turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
     rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
     directions = tuple(f"{name}_direction" for name in robot.readings)
@@ -264,16 +268,18 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
     if labels or not kind.tracked:
         blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
         refers = with_trackers(refers, blocks, rows.labels.block, robot.readings)
-        made = _stated(instruments_of(known, [Rows(kind, refers)], robot.readings, False)[0], campaign)
+        instruments = _with_known_places(
+            instruments_of(things, [Rows(kind, refers)], robot.readings, False)[0], campaign
+        )
         rows = replace(
             rows,
             blocks=blocks,
             observed=np.zeros((n, max(1, len(kind.read)))),
             labels=replace(rows.labels, refers=refers),
-            instruments=made,
+            instruments=instruments,
         )
     if labels:
-        rows = with_routes(rows.with_labels(target=target), [settings], known, robot)
+        rows = with_routes(rows.with_labels(target=target), [settings], things, robot)
     question = campaign.question
     coefficients = frame_coefficients(question, (), rows) + constants(robot, question.constants)
     model = Model(
@@ -287,14 +293,16 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         routes=rows.labels.routes,
         target_on=question.target_on,
     )
-    around = surroundings(question, model, loaded=False)
+    environment = surroundings(question, model, loaded=False)
     if labels:
-        around = replace(around, sights=Sights(np.array([frame.translation for _, frame in model.tip_target])))
-    model = replace(model, around=around)
+        environment = replace(
+            environment, sights=Sights(np.array([frame.translation for _, frame in model.tip_target]))
+        )
+    model = replace(model, around=environment)
     assumed = [
         f"noise.{c.name} is not said: planned with {s * c.scale:g} {c.shown}"
-        for c, own, s in zip(channels, stated, sigma.tolist(), strict=True)
-        if own is None
+        for c, declared_sigma, s in zip(channels, declared, sigma.tolist(), strict=True)
+        if declared_sigma is None
     ]
     return Beforehand(
         campaign=campaign,
@@ -308,7 +316,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         patterns=rows,
         bodies=bodies,
         side=_side(campaign, robot, np.zeros((0, len(robot.readings)))),
-        notices=(*assumed, *bodies.unread, *_unshaped(robot, bodies)),
+        notices=(*assumed, *bodies.unread, *_shape_notices(robot, bodies)),
     )
 
 
@@ -322,44 +330,44 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
     return list(campaign.instruments.targets)
 
 
-def _referred(campaign: Campaign, known: Known) -> np.ndarray:
+def _labels_referred(campaign: Campaign, things: Known) -> np.ndarray:
     """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
     settings, declared = campaign.measurements, campaign.instruments.declared
     kind = settings.traits
     if kind.tracked or not kind.roles:
-        found = [("", "", "")]
+        labels = [("", "", "")]
     elif kind.images:
         cameras = [settings.camera] if settings.camera else list(declared["camera"])
-        found = [(camera, known.board_of(camera, marker), marker) for camera in cameras for marker in known.markers]
+        labels = [(camera, things.board_of(camera, marker), marker) for camera in cameras for marker in things.markers]
     else:
         role = kind.roles[0].name
-        found = [(label, "", "") for label in (known.points if role == "point" else declared[role])]
-    if not found:
+        labels = [(label, "", "") for label in (things.points if role == "point" else declared[role])]
+    if not labels:
         raise _nothing_said(campaign)
-    return np.array(found, dtype=str).reshape(-1, ROLES)
+    return np.array(labels, dtype=str).reshape(-1, ROLES)
 
 
-def _stated(made: Instruments, campaign: Campaign) -> Instruments:
-    """The things, offsets of which nothing is said at zero.
+def _with_known_places(instruments: Instruments, campaign: Campaign) -> Instruments:
+    """The things with their places, offsets of anchors at zero where the campaign does not say them.
 
     Raises:
         CampaignError: of one of them nobody says where it is.
     """
     things = {}
-    for role, own in made.things.items():
-        start = own.start.copy()
+    for role, of_role in instruments.things.items():
+        start = of_role.start.copy()
         if role == "anchor":
             start[:, OFFSET] = np.nan_to_num(start[:, OFFSET])
         if np.isnan(start).any():
             raise _nothing_said(campaign)
-        things[role] = replace(own, start=start)
-    return replace(made, things=things)
+        things[role] = replace(of_role, start=start)
+    return replace(instruments, things=things)
 
 
 def _nothing_said(campaign: Campaign) -> CampaignError:
-    """What is said where rows would refer to what is nowhere."""
+    """The error where rows would refer to things whose places are not known."""
     kind = campaign.measurements.kind
     return CampaignError(
         f"{campaign.path}: instruments: nothing was measured yet, and it is not said where all is that `kind: {kind}` refers "
-        f"to; say nearly where: `{WHERE[kind]}`"
+        f"to; say nearly where: `{KEYS_OF_PLACES[kind]}`"
     )

@@ -11,7 +11,7 @@ from aridcal.engine.robot.collisions import Bodies, lines_touch, touches
 from aridcal.engine.robot.kinematics import joint_frames, tip_frames
 from aridcal.files.purposes import Box
 
-THICK = 0.05
+ARM_HALF_THICKNESS = 0.05
 """[m]: half of what the thinnest arms of industrial robots measure across."""
 
 
@@ -23,10 +23,10 @@ def clear(
     targets: np.ndarray,
     carrier: str | None = None,
 ) -> np.ndarray:
-    """True of configurations in which nothing of the arm touches what it must not, shape (n,).
+    """True of configurations in which the arm touches neither boxes nor itself, shape (n,).
 
-    The arm is at least a line from joint to joint and on to its target, and keeps out of boxes; where the URDF has collision
-    shapes, so do these, and out of each other. Of several limbs each is a line, from joint to joint and to its end.
+    The arm is at least a line from joint to joint and on to its target, which must cross no box; where the URDF has collision
+    shapes, these must touch no box and not each other. Each of several limbs is such a line, to its own end.
 
     Args:
         robot: The chain.
@@ -34,18 +34,18 @@ def clear(
         bodies: What the URDF says of its shapes, with the boxes.
         readings: Shape (n, columns), [rad] or [m].
         targets: Where the target is in the base's frame, shape (n, 3), [m].
-        carrier: The link that carries it; None: the tip.
+        carrier: The link that carries the target; None: the tip.
     """
-    good = np.ones(len(readings), dtype=bool)
+    free = np.ones(len(readings), dtype=bool)
     for limb, columns in of_limbs(robot):
-        own = readings[:, columns]
-        end = targets if limb.tip == (carrier or robot.tip) else tip_frames(limb, own)[1]
-        points = np.concatenate([joint_frames(limb, own)[1], end[:, None]], axis=1)
+        limb_readings = readings[:, columns]
+        end = targets if limb.tip == (carrier or robot.tip) else tip_frames(limb, limb_readings)[1]
+        points = np.concatenate([joint_frames(limb, limb_readings)[1], end[:, None]], axis=1)
         for box in boxes:
-            good &= ~crosses(points[:, :-1], points[:, 1:], box).any(axis=1)
+            free &= ~crosses(points[:, :-1], points[:, 1:], box).any(axis=1)
     if bodies.any:
-        good[good] = ~touches(robot, bodies.geometry, readings[good]).any(axis=1)
-    return good
+        free[free] = ~touches(robot, bodies.geometry, readings[free]).any(axis=1)
+    return free
 
 
 def unobstructed(
@@ -53,7 +53,7 @@ def unobstructed(
 ) -> np.ndarray:
     """True where a straight line goes past the boxes and the arm, shape (n,).
 
-    The arm has the URDF's collision shapes; without any it is lines from joint to joint, :data:`THICK` all around.
+    The arm has the URDF's collision shapes; without any it is lines from joint to joint, :data:`ARM_HALF_THICKNESS` all around.
 
     Args:
         robot: The chain.
@@ -63,21 +63,21 @@ def unobstructed(
         starts: In the base's frame, shape (n, 3), [m].
         ends: Likewise.
     """
-    good = np.ones(len(readings), dtype=bool)
+    free = np.ones(len(readings), dtype=bool)
     for box in boxes:
-        good &= ~crosses(starts, ends, box)
+        free &= ~crosses(starts, ends, box)
     if bodies.shaped:
-        good[good] = ~lines_touch(robot, bodies.geometry, readings[good], starts[good], ends[good])
-        return good
+        free[free] = ~lines_touch(robot, bodies.geometry, readings[free], starts[free], ends[free])
+        return free
     for limb, columns in of_limbs(robot):
         points = joint_frames(limb, readings[:, columns])[1]
         for k in range(points.shape[1] - 1):
-            good &= apart(starts, ends, points[:, k], points[:, k + 1]) > THICK
-    return good
+            free &= apart(starts, ends, points[:, k], points[:, k + 1]) > ARM_HALF_THICKNESS
+    return free
 
 
 def of_limbs(robot: Robot) -> Iterator[tuple[Robot, list[int]]]:
-    """Each limb that moves, and which of the robot's columns drive it."""
+    """Each limb that moves, with the indices of the robot's columns that drive it."""
     for limb in robot.limbs:
         if limb.joints:
             yield limb, robot.columns_of(limb)
@@ -88,9 +88,9 @@ def apart(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndar
 
     Args:
         a: Shape (n, 3), [m], as are the others.
-        b: See there.
-        c: See there.
-        d: See there.
+        b: Likewise.
+        c: Likewise.
+        d: Likewise.
     """
     u, v, w = b - a, d - c, a - c
     uu, vv = (np.maximum(np.sum(x * x, axis=1), 1e-300) for x in (u, v))

@@ -20,17 +20,17 @@ from aridcal.jobs.plan.clearance import clear, unobstructed
 from aridcal.jobs.plan.mounting import stands_above
 from aridcal.system.errors import CampaignError
 
-ROUNDS = 40
+DRAWING_ROUNDS = 40
 """Times that configurations are drawn: fewer than one in forty inside what is allowed is hardly a workspace."""
 
-AT_ONCE = 3000
+CANDIDATES_AT_ONCE = 3000
 """Configurations that are drawn at a time, where only some of them can be measured."""
 
-FEWEST = 4
+FEWEST_MARKERS_SHOWN = 4
 """Markers that an image must show, or all if there are fewer: a pose needs three, and one more to check."""
 
 
-STUB = 0.03
+FREE_SIGHT_END = 0.03
 """[m] of a line of sight at the target that nothing obstructs: the target's own mount stands there."""
 
 
@@ -39,8 +39,8 @@ class Offers:
     """What may be measured in a configuration: one choice of pattern rows, measured together, for each.
 
     Attributes:
-        patterns: Numbers of the pattern rows of each.
-        titles: Labels of each that its row has, by the name of their column.
+        patterns: Indices of the pattern rows of each choice.
+        titles: Labels in each choice's row, by the name of their column.
     """
 
     patterns: tuple[np.ndarray, ...]
@@ -54,7 +54,7 @@ class Candidates:
     Attributes:
         readings: Shape (C, columns), [rad] or [m].
         sides: From which each joint comes to its reading, -1 or 1, shape (C, columns).
-        offer: Number of what is measured in each, shape (C,).
+        offer: Index of what is measured in each, see :class:`Offers`, shape (C,).
         pattern: Pattern of each of their rows, N rows in all, shape (N,).
         of: Candidate that each row belongs to, in ascending order, shape (N,).
     """
@@ -66,30 +66,30 @@ class Candidates:
     of: np.ndarray
 
     def some(self, numbers: Sequence[int] | np.ndarray) -> Candidates:
-        """Some of them, one after the other; any of them more than once."""
-        n = np.asarray(numbers, dtype=int)
-        first, end = (np.searchsorted(self.of, n, side) for side in ("left", "right"))
+        """The candidates of these indices, in this order; an index may come more than once."""
+        indices = np.asarray(numbers, dtype=int)
+        first, end = (np.searchsorted(self.of, indices, side) for side in ("left", "right"))
         rows = np.concatenate([np.arange(a, b) for a, b in zip(first.tolist(), end.tolist(), strict=True)])
-        of = np.repeat(np.arange(len(n)), end - first)
-        return Candidates(self.readings[n], self.sides[n], self.offer[n], self.pattern[rows], of)
+        of = np.repeat(np.arange(len(indices)), end - first)
+        return Candidates(self.readings[indices], self.sides[indices], self.offer[indices], self.pattern[rows], of)
 
     @property
     def first(self) -> np.ndarray:
-        """Pattern of each one's first row, shape (C,)."""
+        """Pattern of each candidate's first row, shape (C,)."""
         return np.asarray(self.pattern[np.searchsorted(self.of, np.arange(len(self.readings)))])
 
-    def rows(self, known: Beforehand) -> Dataset:
-        """Their rows as a data set; what they would read is of no account."""
-        made = rows_like(known, self.readings[self.of], self.pattern)
+    def rows(self, setup: Beforehand) -> Dataset:
+        """The candidates' rows as a data set, without readings of the instrument, which nothing asks for."""
+        made = rows_like(setup, self.readings[self.of], self.pattern)
         names = tuple(f"{name}_direction" for name in made.names)
         covariates = made.covariates | dict(zip(names, self.sides[self.of].T, strict=True))
         return replace(made, covariates=covariates).with_origin(derived=names)
 
 
-def offers(known: Beforehand) -> Offers:
+def offers(setup: Beforehand) -> Offers:
     """What one configuration may measure: a target, a touch of a point, all markers in one image."""
-    rows = known.patterns
-    n, kind = len(rows), known.campaign.measurements.traits
+    rows = setup.patterns
+    n, kind = len(rows), setup.campaign.measurements.traits
     if kind.images:
         cameras = rows.labels.refers[:, 0]
         names = np.unique(cameras)
@@ -100,71 +100,71 @@ def offers(known: Beforehand) -> Offers:
     several = target is not None and (kind.tracked or len(np.unique(target)) > 1)
     titles: list[dict[str, str]] = []
     for k in range(n):
-        own = {"target": str(target[k])} if several and target is not None else {}
+        title = {"target": str(target[k])} if several and target is not None else {}
         if rows.labels.refers[k, 0] and not kind.tracked:
-            own |= {kind.roles[0].name: str(rows.labels.refers[k, 0])}
-        own |= {} if rows.labels.station is None else {"station": str(rows.labels.station[k])}
-        titles.append(own)
+            title |= {kind.roles[0].name: str(rows.labels.refers[k, 0])}
+        title |= {} if rows.labels.station is None else {"station": str(rows.labels.station[k])}
+        titles.append(title)
     return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
 
 
-def rows_like(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> Dataset:
+def rows_like(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> Dataset:
     """Rows of other readings.
 
     Args:
-        known: Has the patterns.
+        setup: Has the patterns.
         readings: Shape (N, columns), [rad] or [m].
         pattern: Number of each row's pattern, shape (N,).
     """
-    made = replace(known.patterns.select(pattern), readings=readings)
-    kind = known.campaign.measurements.traits
+    made = replace(setup.patterns.select(pattern), readings=readings)
+    kind = setup.campaign.measurements.traits
     if made.direct or not (kind.tracked or kind.level):
         return made
     # turns are compared with what was seen
-    R, p = known.model.poses(known.theta, rows_of_data(known.model, made, readings))
-    seen = np.swapaxes(R, 1, 2) @ DOWN if kind.level else np.hstack([p, R.reshape(-1, 9)])
-    return replace(made, observed=_as_wide(seen, made.observed.shape[1]))
+    R, p = setup.model.poses(setup.theta, rows_of_data(setup.model, made, readings))
+    observed = np.swapaxes(R, 1, 2) @ DOWN if kind.level else np.hstack([p, R.reshape(-1, 9)])
+    return replace(made, observed=_as_wide(observed, made.observed.shape[1]))
 
 
 def _as_wide(values: np.ndarray, width: int) -> np.ndarray:
-    """Columns cut off, or filled up with zeros, to so many."""
+    """Values cut off, or filled up with zeros, to a width in columns."""
     wide = np.zeros((len(values), width))
     wide[:, : values.shape[1]] = values[:, :width]
     return wide
 
 
-def targets_of(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def targets_of(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the world, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
-    made = known.patterns.select(pattern)
-    return known.model.poses(known.theta, rows_of_data(known.model, made, readings))
+    made = setup.patterns.select(pattern)
+    return setup.model.poses(setup.theta, rows_of_data(setup.model, made, readings))
 
 
-def in_base(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_base(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the robot's base, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
-    made = known.patterns.select(pattern)
-    rows = rows_of_data(known.model, made, readings)
-    R, p = known.model.poses(known.theta, rows)
-    base = [known.model.frames(known.theta)[0][k][1] for k in rows.world.tolist()]
+    pattern_rows = setup.patterns.select(pattern)
+    rows = rows_of_data(setup.model, pattern_rows, readings)
+    R, p = setup.model.poses(setup.theta, rows)
+    base = [setup.model.frames(setup.theta)[0][k][1] for k in rows.world.tolist()]
     turn = np.array([frame.rotation for frame in base]).reshape(-1, 3, 3)
-    off = p - np.array([frame.translation for frame in base]).reshape(-1, 3)
-    found = np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, off)
-    for some, route in _by_route(known, pattern):
+    offset = p - np.array([frame.translation for frame in base]).reshape(-1, 3)
+    poses = np.swapaxes(turn, 1, 2) @ R, np.einsum("nji,nj->ni", turn, offset)
+    for indices, route in _by_route(setup, pattern):
         if route.start is not None:  # such rows are of what the target is to a link
-            limb = known.robot.between(None, route.start)
-            axes, origin = tip_frames(limb, readings[some][:, known.robot.columns_of(limb)])
-            found[0][some], found[1][some] = axes @ R[some], origin + np.einsum("nij,nj->ni", axes, p[some])
-    return found
+            limb = setup.robot.between(None, route.start)
+            axes, origin = tip_frames(limb, readings[indices][:, setup.robot.columns_of(limb)])
+            poses[0][indices], poses[1][indices] = axes @ R[indices], origin + np.einsum("nij,nj->ni", axes, p[indices])
+    return poses
 
 
-def ends(known: Beforehand) -> list[int]:
-    """Patterns of which the targets are to be known: the first of each path."""
-    route = known.patterns.labels.route
+def ends(setup: Beforehand) -> list[int]:
+    """Indices of the patterns whose targets a plan is judged by: the first of each path."""
+    route = setup.patterns.labels.route
     return [0] if route is None else sorted(np.unique(route, return_index=True)[1].tolist())
 
 
-def _by_route(known: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
-    """Which of some rows take which path; see :func:`rows_like`."""
-    routes, route = known.patterns.labels.routes, known.patterns.labels.route
+def _by_route(setup: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
+    """Indices of the rows on each path, with the path; see :func:`rows_like`."""
+    routes, route = setup.patterns.labels.routes, setup.patterns.labels.route
     if route is None:
         yield slice(None), routes[0]
         return
@@ -172,39 +172,39 @@ def _by_route(known: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarr
         yield np.flatnonzero(route[pattern] == k), routes[k]
 
 
-def allowed(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def allowed(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
-    own = in_base(known, readings, pattern)[1]
-    good = np.empty(len(readings), dtype=bool)
-    for some, route in _by_route(known, pattern):
-        good[some] = clear(known.robot, known.boxes, known.bodies, readings[some], own[some], route.end)
-    return good & stands_above(known.robot, known.side, readings, own) if known.side else good
+    targets = in_base(setup, readings, pattern)[1]
+    free = np.empty(len(readings), dtype=bool)
+    for indices, route in _by_route(setup, pattern):
+        free[indices] = clear(setup.robot, setup.boxes, setup.bodies, readings[indices], targets[indices], route.end)
+    return free & stands_above(setup.robot, setup.side, readings, targets) if setup.side else free
 
 
-def in_sight(known: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def in_sight(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the instrument sees the target, shape (n,); see :func:`rows_like`."""
-    sight = known.campaign.design.sight
+    sight = setup.campaign.design.sight
     if sight is None or not len(readings):
         return np.ones(len(readings), dtype=bool)
-    R, p = in_base(known, readings, pattern)
-    away = np.array(sight.at) - p
-    length = np.linalg.norm(away, axis=1)
-    good = length > STUB
+    R, p = in_base(setup, readings, pattern)
+    to_instrument = np.array(sight.at) - p
+    length = np.linalg.norm(to_instrument, axis=1)
+    visible = length > FREE_SIGHT_END
     if sight.axis is not None and sight.within is not None:
         axis = R @ (np.array(sight.axis) / np.linalg.norm(sight.axis))
-        good &= np.sum(axis * away, axis=1) >= np.cos(sight.within) * length
-    ends = p[good] + away[good] * (STUB / length[good])[:, None]
+        visible &= np.sum(axis * to_instrument, axis=1) >= np.cos(sight.within) * length
+    ends = p[visible] + to_instrument[visible] * (FREE_SIGHT_END / length[visible])[:, None]
     starts = np.broadcast_to(np.array(sight.at), ends.shape)
-    boxes = known.boxes
-    good[good] = unobstructed(known.robot, boxes, known.bodies, readings[good], starts, ends)
-    return good
+    boxes = setup.boxes
+    visible[visible] = unobstructed(setup.robot, boxes, setup.bodies, readings[visible], starts, ends)
+    return visible
 
 
-def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
-    """Configurations drawn from the joints' ranges that can be measured, of each offer as many.
+def draw_candidates(setup: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
+    """Measurable configurations, drawn from the joints' ranges, as many of each offer.
 
     Args:
-        known: What can be measured.
+        setup: What can be measured.
         count: How many, if there are so many.
         least: How many at least.
         rng: Draws them.
@@ -212,9 +212,9 @@ def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Ge
     Raises:
         CampaignError: hardly any can.
     """
-    choices = offers(known)
-    each, fewest = (-(-number // len(choices.patterns)) for number in (count, least))
-    parts = [_of_offer(known, own, each, fewest, rng) for own in choices.patterns]
+    choices = offers(setup)
+    per_offer, fewest = (-(-number // len(choices.patterns)) for number in (count, least))
+    parts = [_of_offer(setup, patterns, per_offer, fewest, rng) for patterns in choices.patterns]
     readings = np.concatenate([part.readings for part in parts])
     starts = np.cumsum([0, *(len(part.readings) for part in parts)])[:-1]
     return Candidates(
@@ -226,114 +226,114 @@ def draw_candidates(known: Beforehand, count: int, least: int, rng: np.random.Ge
     )
 
 
-def _of_offer(known: Beforehand, own: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
-    """Configurations for one choice of what is measured."""
-    found: list[np.ndarray] = []
-    shown: list[np.ndarray] = []
-    many, drawn = 0, max(count, AT_ONCE) if len(own) > 1 else count
-    for _ in range(ROUNDS):
-        readings = _drawn(known, int(own[0]), drawn, rng)
-        seen = _seen(known, readings, own)
-        good = _enough(known, seen, own)
-        for holds in (allowed, in_sight):
-            good[good] = holds(known, readings[good], np.full(int(good.sum()), own[0]))
-        found.append(readings[good])
-        shown.append(seen[good])
-        many += int(good.sum())
-        if many >= count:
+def _of_offer(setup: Beforehand, patterns: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
+    """Measurable configurations of one offer."""
+    readings_found: list[np.ndarray] = []
+    patterns_shown: list[np.ndarray] = []
+    measurable, batch = 0, max(count, CANDIDATES_AT_ONCE) if len(patterns) > 1 else count
+    for _ in range(DRAWING_ROUNDS):
+        readings = _draw_readings(setup, int(patterns[0]), batch, rng)
+        shown = _patterns_shown(setup, readings, patterns)
+        usable = _shows_enough(setup, shown, patterns)
+        for condition in (allowed, in_sight):
+            usable[usable] = condition(setup, readings[usable], np.full(int(usable.sum()), patterns[0]))
+        readings_found.append(readings[usable])
+        patterns_shown.append(shown[usable])
+        measurable += int(usable.sum())
+        if measurable >= count:
             break
-    if many < least:
+    if measurable < least:
         raise CampaignError(
-            f"{known.campaign.path}: of {ROUNDS * drawn:,} configurations only {many} can be measured inside the joints' limits: "
-            "check `design.keep_out` and `design.sight`, and what `instruments` says of cameras and markers"
+            f"{setup.campaign.path}: of {DRAWING_ROUNDS * batch:,} configurations only {measurable} can be measured inside the "
+            "joints' limits: check `design.keep_out` and `design.sight`, and what `instruments` says of cameras and markers"
         )
-    count = min(count, many)
-    of, column = np.nonzero(np.concatenate(shown)[:count])
-    readings = np.concatenate(found)[:count]
-    return Candidates(readings, np.ones_like(readings), np.zeros(count, dtype=int), own[column], of)
+    count = min(count, measurable)
+    of, column = np.nonzero(np.concatenate(patterns_shown)[:count])
+    readings = np.concatenate(readings_found)[:count]
+    return Candidates(readings, np.ones_like(readings), np.zeros(count, dtype=int), patterns[column], of)
 
 
-def _drawn(known: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Readings with which the target is where a measurement of one pattern needs it, shape (count, columns)."""
-    rows = known.patterns
-    kind = known.campaign.measurements.traits
+def _draw_readings(setup: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Readings that bring the target where a measurement of one pattern needs it, shape (count, columns)."""
+    rows = setup.patterns
+    kind = setup.campaign.measurements.traits
     if not (kind.touches or kind.gauges or kind.joins):
-        return draw_readings(known.robot, count, rng, off_the_limits)
-    role = kind.roles[0].name
-    things = known.model.instruments.things[role]
+        return draw_readings(setup.robot, count, rng, off_the_limits)
+    role_name = kind.roles[0].name
+    things = setup.model.instruments.things[role_name]
     number = things.names.index(str(rows.labels.refers[pattern, 0]))
-    state: np.ndarray = known.model.states.get(role, things.start)[number]
+    state: np.ndarray = setup.model.states.get(role_name, things.start)[number]
 
     def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
         if kind.joins:
             return kind.residual(R, p, np.zeros((len(p), 0)), [np.tile(state, (len(p), 1))])
         return p - state if kind.touches else p @ state[:3, None] - state[3]
 
-    advice = f"move {role} {rows.labels.refers[pattern, 0]} nearer to the arm, or say better where it is"
-    return reaching(known, pattern, miss, count, rng, advice)
+    advice = f"move {role_name} {rows.labels.refers[pattern, 0]} nearer to the arm, or say better where it is"
+    return reaching(setup, pattern, miss, count, rng, advice)
 
 
 def reaching(
-    known: Beforehand, pattern: int, miss: Miss, count: int, rng: np.random.Generator, advice: str
+    setup: Beforehand, pattern: int, miss: Miss, count: int, rng: np.random.Generator, advice: str
 ) -> np.ndarray:
-    """Readings that bring the target of a pattern where it is missed by nothing, shape (count, columns)."""
+    """Readings that bring the target of a pattern where ``miss`` is zero, shape (count, columns)."""
 
     def pose(readings: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return targets_of(known, readings, np.full(len(readings), pattern))
+        return targets_of(setup, readings, np.full(len(readings), pattern))
 
-    return brought(known.robot, pose, miss, count, rng, str(known.campaign.path), advice)
+    return brought(setup.robot, pose, miss, count, rng, str(setup.campaign.path), advice)
 
 
-def _seen(known: Beforehand, readings: np.ndarray, own: np.ndarray) -> np.ndarray:
-    """Which of an offer's patterns each configuration measures, shape (n, patterns) bool."""
-    n, m = len(readings), len(own)
-    if not known.campaign.measurements.traits.images or n == 0:
+def _patterns_shown(setup: Beforehand, readings: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+    """Patterns of an offer that each configuration measures, shape (n, patterns) bool."""
+    n, m = len(readings), len(patterns)
+    if not setup.campaign.measurements.traits.images or n == 0:
         return np.ones((n, m), dtype=bool)
-    asked = problem(known.model, rows_like(known, np.repeat(readings[:1], m, axis=0), own))
-    refers = asked.measured.refers
+    question = problem(setup.model, rows_like(setup, np.repeat(readings[:1], m, axis=0), patterns))
+    refers = question.measured.refers
     states = [
-        np.tile(asked.states[role.name][refers[:, k]], (n, 1))
-        for k, role in enumerate(known.campaign.measurements.traits.roles)
+        np.tile(question.states[role.name][refers[:, k]], (n, 1))
+        for k, role in enumerate(setup.campaign.measurements.traits.roles)
     ]
     turns, places = np.empty((n, m, 3, 3)), np.empty((n, m, 3))
-    for some, _ in _by_route(known, own):  # markers of one path see the camera alike
-        seen_from = targets_of(known, readings, np.full(n, own[some][0]))
-        turns[:, some], places[:, some] = (each[:, None] for each in seen_from)
+    for indices, _ in _by_route(setup, patterns):  # markers of one path see the camera alike
+        target_poses = targets_of(setup, readings, np.full(n, patterns[indices][0]))
+        turns[:, indices], places[:, indices] = (part[:, None] for part in target_poses)
     R, p = turns.reshape(-1, 3, 3), places.reshape(-1, 3)
-    camera = known.campaign.instruments.cameras[str(known.patterns.labels.refers[own[0], 0])]
+    camera = setup.campaign.instruments.cameras[str(setup.patterns.labels.refers[patterns[0], 0])]
     size = np.array([camera.width, camera.height], dtype=float)
-    seen = in_image(R, p, states, size)
-    if known.campaign.instruments.boards:
-        seen &= faces(R, p, states[0], states[1])
-    few = ~_enough(known, seen.reshape(n, m), own)
-    some = np.flatnonzero(seen & ~np.repeat(few, m))
-    if len(some):
-        at_sight = ends_of_sight(R[some], p[some], [state[some] for state in states])
-        rows = np.repeat(readings, m, axis=0)[some]
-        starts, ends = (_to_base(known, np.tile(own, n)[some], rows, at) for at in at_sight)
-        short = STUB / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * STUB)[:, None]
+    shown = in_image(R, p, states, size)
+    if setup.campaign.instruments.boards:
+        shown &= faces(R, p, states[0], states[1])
+    too_few = ~_shows_enough(setup, shown.reshape(n, m), patterns)
+    indices = np.flatnonzero(shown & ~np.repeat(too_few, m))
+    if len(indices):
+        sights = ends_of_sight(R[indices], p[indices], [state[indices] for state in states])
+        rows = np.repeat(readings, m, axis=0)[indices]
+        starts, ends = (_to_base(setup, np.tile(patterns, n)[indices], rows, at) for at in sights)
+        short = FREE_SIGHT_END / np.maximum(np.linalg.norm(ends - starts, axis=1), 2 * FREE_SIGHT_END)[:, None]
         starts, ends = starts + short * (ends - starts), ends + short * (starts - ends)
-        boxes = known.boxes
-        seen[some] = unobstructed(known.robot, boxes, known.bodies, rows, starts, ends)
-    return seen.reshape(n, m)
+        boxes = setup.boxes
+        shown[indices] = unobstructed(setup.robot, boxes, setup.bodies, rows, starts, ends)
+    return shown.reshape(n, m)
 
 
-def _enough(known: Beforehand, seen: np.ndarray, own: np.ndarray) -> np.ndarray:
+def _shows_enough(setup: Beforehand, shown: np.ndarray, patterns: np.ndarray) -> np.ndarray:
     """True of images that show enough of what one link carries, shape (n,), from which markers each shows, (n, patterns)."""
-    good = np.zeros(len(seen), dtype=bool)
-    for some, _ in _by_route(known, own):
-        good |= seen[:, some].sum(axis=1) >= min(FEWEST, len(own[some]))
-    return good
+    enough = np.zeros(len(shown), dtype=bool)
+    for indices, _ in _by_route(setup, patterns):
+        enough |= shown[:, indices].sum(axis=1) >= min(FEWEST_MARKERS_SHOWN, len(patterns[indices]))
+    return enough
 
 
-def _to_base(known: Beforehand, pattern: np.ndarray, readings: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Places where paths start, in the world or on links, as the base has them, shape (n, 3), [m]; see :func:`rows_like`."""
-    world = rows_of_data(known.model, known.patterns.select(pattern[:1])).world[0]
-    frame = known.model.frames(known.theta)[0][world][1]
-    found = np.asarray((at - frame.translation) @ frame.rotation)
-    for some, route in _by_route(known, pattern):
+def _to_base(setup: Beforehand, pattern: np.ndarray, readings: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points given where paths start, in the world or a link, in the base's axes, shape (n, 3), [m]; see :func:`rows_like`."""
+    world = rows_of_data(setup.model, setup.patterns.select(pattern[:1])).world[0]
+    frame = setup.model.frames(setup.theta)[0][world][1]
+    places = np.asarray((points - frame.translation) @ frame.rotation)
+    for indices, route in _by_route(setup, pattern):
         if route.start is not None:
-            limb = known.robot.between(None, route.start)
-            axes, origin = tip_frames(limb, readings[some][:, known.robot.columns_of(limb)])
-            found[some] = origin + np.einsum("nij,nj->ni", axes, at[some])
-    return found
+            limb = setup.robot.between(None, route.start)
+            axes, origin = tip_frames(limb, readings[indices][:, setup.robot.columns_of(limb)])
+            places[indices] = origin + np.einsum("nij,nj->ni", axes, points[indices])
+    return places

@@ -18,7 +18,7 @@ from aridcal.jobs.apply.programs.languages import LANGUAGES
 from aridcal.jobs.apply.programs.moves import AXES, Moves, Stop
 from aridcal.system.errors import OutputError, shortened
 
-LONGEST = 24
+LONGEST_PROGRAM_NAME = 24
 """Letters of a KRL program's name."""
 
 WAYPOINTS = ".yaml"
@@ -40,7 +40,7 @@ def moves(
     settle: float,
     more: tuple[str, ...] = (),
 ) -> Moves:
-    """The places of a program: each configuration, after the point by way of which it is come to.
+    """The stops of a program: each configuration, after the way point of its approach.
 
     Args:
         title: See :class:`Moves`, as ``names``, ``kinds``, ``settle`` and ``more``.
@@ -53,10 +53,10 @@ def moves(
         more: Further notes.
     """
     stops = []
-    for number, (own, before, label) in enumerate(zip(readings, via, labels, strict=True), start=1):
-        if np.isfinite(before).all():
-            stops.append(Stop(before, 0, ""))
-        stops.append(Stop(own, number, label))
+    for number, (reading, way_point, label) in enumerate(zip(readings, via, labels, strict=True), start=1):
+        if np.isfinite(way_point).all():
+            stops.append(Stop(way_point, 0, ""))
+        stops.append(Stop(reading, number, label))
     return Moves(title, names, kinds, tuple(stops), settle, more)
 
 
@@ -74,10 +74,10 @@ def check_program(ending: str, stem: str, kinds: tuple[str, ...]) -> None:
     language = WRITERS.get(ending)
     if language is None:
         return
-    if not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}}", stem):
+    if not re.fullmatch(rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_PROGRAM_NAME - 1}}}", stem):
         raise OutputError(
             f"{shortened(stem)}{ending}: a program in {language.name} has the name of its file, so that should be a letter, and "
-            f"then letters, digits and _, {LONGEST} in all at the most; give it such a name"
+            f"then letters, digits and _, {LONGEST_PROGRAM_NAME} in all at the most; give it such a name"
         )
     sliding = kinds.count("prismatic")
     turning = len(kinds) - sliding
@@ -90,16 +90,16 @@ def check_program(ending: str, stem: str, kinds: tuple[str, ...]) -> None:
         )
 
 
-def program(made: Moves, ending: str, stem: str) -> str:
+def program(motion: Moves, ending: str, stem: str) -> str:
     """The text of a file; see :func:`check_program`."""
     write = WRITERS[ending].write if ending in WRITERS else _waypoints
     assert write is not None
-    return "".join(f"{line}\n" for line in write(made, stem))
+    return "".join(f"{line}\n" for line in write(motion, stem))
 
 
-def _waypoints(made: Moves, stem: str) -> Iterator[str]:
+def _waypoints(motion: Moves, stem: str) -> Iterator[str]:
     """ROS: names and positions as in `trajectory_msgs/JointTrajectory`; MoveIt plans the ways itself."""
-    yield from (f"# {note}" for note in made.notes[:-1])
+    yield from (f"# {note}" for note in motion.notes[:-1])
     yield "# rad and m; plan to `positions` of each point in turn, and measure where `configuration` is not 0"
     points = [
         {
@@ -107,7 +107,7 @@ def _waypoints(made: Moves, stem: str) -> Iterator[str]:
             **({"label": stop.label} if stop.label else {}),
             "positions": [round(value, 9) for value in stop.readings.tolist()],
         }
-        for stop in made.stops
+        for stop in motion.stops
     ]
-    document = {"joint_names": list(made.names), "settle": made.settle, "points": points}
+    document = {"joint_names": list(motion.names), "settle": motion.settle, "points": points}
     yield yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=10_000, allow_unicode=True).rstrip()

@@ -6,9 +6,9 @@ import numpy as np
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import joint_frames
-from aridcal.jobs.plan.clearance import THICK
+from aridcal.jobs.plan.clearance import ARM_HALF_THICKNESS
 
-UPRIGHT = 0.999
+UPRIGHT_COSINE = 0.999
 """Cosine of the angle between the first turning axis and the base's z, from which on that z counts as the mount's normal."""
 
 
@@ -28,7 +28,7 @@ def mounting_side(robot: Robot) -> float:
     first = turning[0]
     axis = frames[0, first] @ robot.joints[first].axis
     height = float(origins[0, first + 1, 2])
-    return float(np.sign(height)) if abs(axis[2]) > UPRIGHT and abs(height) > THICK else 0.0
+    return float(np.sign(height)) if abs(axis[2]) > UPRIGHT_COSINE and abs(height) > ARM_HALF_THICKNESS else 0.0
 
 
 def stands_above(robot: Robot, side: float, readings: np.ndarray, targets: np.ndarray) -> np.ndarray:
@@ -44,7 +44,7 @@ def stands_above(robot: Robot, side: float, readings: np.ndarray, targets: np.nd
     """
     first = _turning(robot)[0]
     heights = side * joint_frames(robot, readings)[1][:, first + 1 :, 2]
-    return np.asarray((heights > THICK).all(axis=1) & (side * targets[:, 2] >= 0.0))
+    return np.asarray((heights > ARM_HALF_THICKNESS).all(axis=1) & (side * targets[:, 2] >= 0.0))
 
 
 def _turning(robot: Robot) -> list[int]:

@@ -11,19 +11,19 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.plan.beforehand import Beforehand
 from aridcal.jobs.plan.configurations import Candidates, targets_of
-from aridcal.jobs.plan.information import KNOWN, Told
+from aridcal.jobs.plan.information import ASSUMED_SHARE, Told
 from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, taken_away, worst_sigma
 
-COUNTS = 12
+CURVE_POINTS = 12
 """Points of the curve of sigma against the number of configurations: a smooth line, and each a small decomposition."""
 
 
 @dataclass(frozen=True)
 class Sigma:
-    """How well the target is known over the region with so many new configurations; NaN where it is not known at all.
+    """Sigma of the target over the region with n new configurations; NaN where it is not known at all.
 
     Attributes:
-        n: So many.
+        n: Number of new configurations.
         rms: All three directions together, [m].
         worst: At the worst place in the worst direction, [m].
     """
@@ -41,7 +41,7 @@ class Coverage:
         targets: Of the configurations in the world, shape (n, 3), [m].
         places: Of the target over the region, shape (R, 3), [m].
         worst: 1-sigma there in the worst direction, shape (R,), [m].
-        against: How well the target is known with fewer and with more configurations.
+        against: Sigma of the target with fewer and with more configurations.
         suspects: Effects that may be there, ``WHERE.KIND``.
         loss: Share by which the variance of each suspect would grow without each configuration, shape (n, suspects).
     """
@@ -55,86 +55,86 @@ class Coverage:
 
 
 def sigma_of(choice: Choice, chosen: list[int]) -> Sigma:
-    """What a choice makes of the region."""
+    """Sigma over the region with the chosen configurations."""
     M = choice.information(chosen)
     rms = told_sigma(rms_sigma(choice, M))
     return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
 
 
 def told_sigma(sigma: float) -> float:
-    """A sigma; NaN where it is that of what is assumed."""
-    return sigma if sigma < KNOWN * LOOSE else float("nan")
+    """A sigma, or NaN where it comes from what is assumed, not from rows."""
+    return sigma if sigma < ASSUMED_SHARE * LOOSE else float("nan")
 
 
 def coverage(
-    known: Beforehand,
-    of: Told,
+    setup: Beforehand,
+    unknowns: Told,
     choice: Choice,
     order: list[int],
     visited: Candidates,
     rows: np.ndarray,
     region: np.ndarray,
 ) -> Coverage:
-    """What a plan covers.
+    """The coverage of a plan.
 
     Args:
-        known: The model.
-        of: Its unknowns.
+        setup: The model.
+        unknowns: Its unknowns.
         choice: Has the configurations that were chosen and others.
         order: Numbers of them, the best first; see :func:`aridcal.jobs.plan.row_exchange.nested`.
         visited: The plan, n configurations.
         rows: What they tell, in sigmas, shape (n, p, D).
         region: Readings at the places, shape (R, columns).
     """
-    counts = np.unique(np.linspace(1, len(order), COUNTS).round().astype(int)).tolist()
-    asked, own = replace(choice, rows=rows), slice(0, choice.solved_for)
-    M = asked.information(range(len(rows)))
-    covariance, solved = np.linalg.inv(M), np.linalg.inv(M[own, own])
-    names, parts = suspects(known, of)
+    counts = np.unique(np.linspace(1, len(order), CURVE_POINTS).round().astype(int)).tolist()
+    planned, instruments = replace(choice, rows=rows), slice(0, choice.solved_for)
+    M = planned.information(range(len(rows)))
+    covariance, solved = np.linalg.inv(M), np.linalg.inv(M[instruments, instruments])
+    names, parts = suspects(setup, unknowns)
     loss = np.zeros((len(rows), len(names)))
     for k, F in enumerate(rows):
-        rest = partial(asked.information, [other for other in range(len(rows)) if other != k])
-        without, _ = taken_away(asked, covariance, solved, F, rest)
-        loss[k] = [_grown(without, covariance, part) for part in parts]
-    spread = np.linalg.eigvalsh(choice.variances(M))[:, -1]
+        without_row = partial(planned.information, [other for other in range(len(rows)) if other != k])
+        without, _ = taken_away(planned, covariance, solved, F, without_row)
+        loss[k] = [_growth(without, covariance, part) for part in parts]
+    variances = np.linalg.eigvalsh(choice.variances(M))[:, -1]
     return Coverage(
-        targets=targets_of(known, visited.readings, visited.first)[1],
-        places=targets_of(known, region, np.zeros(len(region), dtype=int))[1],
-        worst=np.sqrt(spread.reshape(-1, len(region)).max(axis=0)),
+        targets=targets_of(setup, visited.readings, visited.first)[1],
+        places=targets_of(setup, region, np.zeros(len(region), dtype=int))[1],
+        worst=np.sqrt(variances.reshape(-1, len(region)).max(axis=0)),
         against=tuple(sigma_of(choice, order[:count]) for count in counts),
         suspects=names,
         loss=loss,
     )
 
 
-def _grown(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> float:
+def _growth(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> float:
     """Share by which the variance of some unknowns is larger without a configuration."""
     return float(np.trace(without[np.ix_(part, part)]) / np.trace(covariance[np.ix_(part, part)]) - 1.0)
 
 
-def suspects(known: Beforehand, of: Told) -> tuple[tuple[str, ...], list[list[int]]]:
-    """Effects among the unknowns by place and what each depends on, and the unknowns that are theirs."""
+def suspects(setup: Beforehand, unknowns: Told) -> tuple[tuple[str, ...], list[list[int]]]:
+    """Names of the effects among the unknowns, by place and covariates, and the indices of each one's unknowns."""
     parts: dict[str, list[int]] = {}
-    for number, k in enumerate(of.kept):
-        c = known.model.coefficients[k]
+    for number, k in enumerate(unknowns.kept):
+        c = setup.model.coefficients[k]
         if not c.basis.constant:
-            parts.setdefault(_title(c), []).append(of.things + number)
+            parts.setdefault(_title(c), []).append(unknowns.things + number)
     return tuple(parts), list(parts.values())
 
 
-def indices(known: Beforehand, of: Told, rows: np.ndarray) -> tuple[float, ...]:
+def indices(setup: Beforehand, unknowns: Told, rows: np.ndarray) -> tuple[float, ...]:
     """Observability indices of all rows together, suspects held; see :func:`observability`.
 
     Args:
-        known: The model, and the rows so far.
-        of: Its unknowns.
+        setup: The model, and the rows so far.
+        unknowns: Its unknowns.
         rows: New ones, in sigmas, shape (n, p, D).
     """
     flat = rows.reshape(-1, rows.shape[2])
-    information = (of.measured + flat.T @ flat) * of.sizes * of.sizes[:, None]
-    expected = np.isfinite(known.prior[list(of.kept)])
-    some = np.flatnonzero(np.concatenate([np.ones(of.things, dtype=bool), ~expected]))
-    return observability(information[np.ix_(some, some)], of.things, len(known.rows) + len(rows))
+    information = (unknowns.measured + flat.T @ flat) * unknowns.sizes * unknowns.sizes[:, None]
+    expected = np.isfinite(setup.prior[list(unknowns.kept)])
+    judged = np.flatnonzero(np.concatenate([np.ones(unknowns.things, dtype=bool), ~expected]))
+    return observability(information[np.ix_(judged, judged)], unknowns.things, len(setup.rows) + len(rows))
 
 
 def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[float, ...]:
@@ -162,6 +162,6 @@ def observability(information: np.ndarray, solved_for: int, n: int) -> tuple[flo
 
 
 def _title(c: Coefficient) -> str:
-    """What a suspect is called: where, and on what it depends."""
+    """The name of a suspect: its place, and what it depends on."""
     depends = (name.removeprefix(c.where).strip("._").replace("_", " ") for name in c.basis.of if name != c.where)
     return f"{c.where}: {' and '.join(depends) or 'its own reading'}"

@@ -30,16 +30,16 @@ POOL, SMALL_POOL = 3000, 1000
 """Configurations to choose from, and the same where many are wanted, or each must be sought: twice as many make the choice better
 by a per cent."""
 
-RANDOM = 100
+RANDOM_CHOICES = 100
 """Random choices that the best one is set beside."""
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What a plan is to do.
+    """What is asked of a plan.
 
     Attributes:
-        n: Configurations.
+        n: Number of configurations.
         criterion: See :mod:`aridcal.jobs.plan.row_exchange`.
         region: Table of joints, or of places of the target, where it is to be known; None: anywhere in the joints' ranges.
         apart: Two effects that are to be told apart, ``WHERE.KIND`` each; none otherwise.
@@ -65,9 +65,9 @@ class Plan:
         directions: From which side joints come, -1 or 1, by the joint's name, for those of which it matters.
         sigma: Against the number of configurations, the best ones first; with two effects to be told apart what these do to the
             target, each as far as the other leaves it open.
-        random: RMS sigma of as many random configurations, the median of :data:`RANDOM` choices, [m]; NaN as for :class:`Sigma`.
+        random: RMS sigma of as many random configurations, median of :data:`RANDOM_CHOICES`, [m]; NaN as for :class:`Sigma`.
         indices: Observability indices O1 to O5 of the rows so far and the planned ones together, of all but suspects.
-        unknowns: How many coefficients can be identified, with the planned rows.
+        unknowns: Number of coefficients that can be identified with the planned rows.
         measured: Rows so far.
         notices: What was assumed.
         kept_out: What the arm was kept out of.
@@ -101,7 +101,7 @@ class Plan:
         parts = [
             [f"{name} {label}" for label in values] for name, values in self.labels.items() if len(set(values)) > 1
         ]
-        return tuple(", ".join(own) for own in zip(*parts, strict=True)) if parts else len(self.readings) * ("",)
+        return tuple(", ".join(words) for words in zip(*parts, strict=True)) if parts else len(self.readings) * ("",)
 
     @property
     def at_n(self) -> Sigma:
@@ -109,116 +109,119 @@ class Plan:
         return next(s for s in self.sigma if s.n == len(self.readings))
 
 
-def design(known: Beforehand, asked: Asked, progress: Progress = SILENT) -> Plan:
+def design(setup: Beforehand, request: Asked, progress: Progress = SILENT) -> Plan:
     """Choose configurations.
 
     Args:
-        known: What is known before.
-        asked: What they are for.
+        setup: What is known before.
+        request: What they are for.
         progress: Called with what is being done.
 
     Raises:
         AridcalError: nothing can be planned, or something of what is asked needs mending.
     """
-    seeds = np.random.SeedSequence(asked.seed).spawn(5)
-    drawing, choosing, chance, moving, coming = (np.random.default_rng(s) for s in seeds)
+    seeds = np.random.SeedSequence(request.seed).spawn(5)
+    drawing, choosing, chance, moving, approaching = (np.random.default_rng(s) for s in seeds)
     progress("drawing configurations")
-    easy = known.campaign.measurements.traits.anywhere
-    pool = POOL if asked.n <= FEW and easy else SMALL_POOL
-    candidates = draw_candidates(known, max(pool, 4 * asked.n), 2 * asked.n, drawing)
-    known = with_stated_effects(known, candidates)
-    if not (len(known.rows) or known.campaign.effects or asked.apart):
-        known = with_usual_effects(known, candidates)
-    known, parts = with_pair(known, asked.apart, candidates)
-    region = region_readings(known, asked.region, drawing)
-    choice, of = question(known, asked, candidates, region)
-    progress(f"choosing {asked.n} of {len(candidates.readings):,} configurations")
+    anywhere = setup.campaign.measurements.traits.anywhere
+    pool = POOL if request.n <= FEW and anywhere else SMALL_POOL
+    candidates = draw_candidates(setup, max(pool, 4 * request.n), 2 * request.n, drawing)
+    setup = with_stated_effects(setup, candidates)
+    if not (len(setup.rows) or setup.campaign.effects or request.apart):
+        setup = with_usual_effects(setup, candidates)
+    setup, parts = with_pair(setup, request.apart, candidates)
+    region = region_readings(setup, request.region, drawing)
+    choice, unknowns = question(setup, request, candidates, region)
+    progress(f"choosing {request.n} of {len(candidates.readings):,} configurations")
     duels: tuple[Duel, ...] = ()
-    if asked.apart:
+    if request.apart:
         pair = [
-            (name, tuple(known.model.coefficients[k] for k in part))
-            for name, part in zip(asked.apart, parts, strict=True)
+            (name, tuple(setup.model.coefficients[k] for k in part))
+            for name, part in zip(request.apart, parts, strict=True)
         ]
-        observed = observed_by(known, candidates.rows(known))
-        chosen, duels = telling_apart(known, of, pair, observed, candidates, asked.n)
+        observed = observed_by(setup, candidates.rows(setup))
+        chosen, duels = telling_apart(setup, unknowns, pair, observed, candidates, request.n)
     else:
-        chosen = best_choice(choice, asked.n, choosing)
+        chosen = best_choice(choice, request.n, choosing)
     best = Refined(candidates.some(chosen), choice.rows[chosen])
-    if easy and not asked.apart:
+    if anywhere and not request.apart:
         progress("moving them to better places nearby")
-        best = refined(known, of, choice, best, moving)
+        best = refined(setup, unknowns, choice, best, moving)
     progress("saying what they will tell")
-    visited, approaches, notices = _visits(known, best.candidates, coming)
-    rows = rows_of(known, of, visited)
+    visited, approaches, notices = _visits(setup, best.candidates, approaching)
+    rows = rows_of(setup, unknowns, visited)
     random = [
-        rms_sigma(choice, choice.information(chance.permutation(len(choice.rows))[: asked.n])) for _ in range(RANDOM)
+        rms_sigma(choice, choice.information(chance.permutation(len(choice.rows))[: request.n]))
+        for _ in range(RANDOM_CHOICES)
     ]
-    more = replace(choice, rows=in_line(rows, choice.rows))
-    order = nested(more, range(asked.n), min(2 * asked.n, len(more.rows)))
-    counts = {asked.n // 4, asked.n // 2, asked.n, len(order)} - {0}
-    counts |= {0} if len(known.rows) else set()
-    titles = [offers(known).titles[k] for k in visited.offer]
-    both = np.flatnonzero(both_sides(known)).tolist()
+    extended = replace(choice, rows=in_line(rows, choice.rows))
+    order = nested(extended, range(request.n), min(2 * request.n, len(extended.rows)))
+    counts = {request.n // 4, request.n // 2, request.n, len(order)} - {0}
+    counts |= {0} if len(setup.rows) else set()
+    titles = [offers(setup).titles[k] for k in visited.offer]
+    both = np.flatnonzero(both_sides(setup)).tolist()
     return Plan(
         readings=visited.readings,
         via=approaches.via,
         straight=approaches.straight,
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
-        directions={known.robot.readings[j]: approaches.sides[:, j] for j in both},
-        sigma=tuple(sigma_of(more, order[:count]) for count in sorted(counts)),
+        directions={setup.robot.readings[j]: approaches.sides[:, j] for j in both},
+        sigma=tuple(sigma_of(extended, order[:count]) for count in sorted(counts)),
         random=told_sigma(float(np.median(random))),
-        indices=indices(known, of, rows),
-        unknowns=len(of.kept),
-        measured=len(known.rows),
-        notices=(*known.notices, *_of_region(known, asked), *notices),
-        kept_out=known.kept_out,
+        indices=indices(setup, unknowns, rows),
+        unknowns=len(unknowns.kept),
+        measured=len(setup.rows),
+        notices=(*setup.notices, *_of_region(setup, request), *notices),
+        kept_out=setup.kept_out,
         duels=duels,
-        coverage=coverage(known, of, more, order, visited, rows, region),
+        coverage=coverage(setup, unknowns, extended, order, visited, rows, region),
     )
 
 
-def _of_region(known: Beforehand, asked: Asked) -> list[str]:
-    """That a plan is for the region that the campaign names, and for its point on the target."""
-    own, said = known.campaign.region, []
-    if asked.region is None and (own.file is not None or own.joints):
-        said.append("the target is to be known over the `region` that the campaign names")
-    if any(own.tool):
-        said.append("what is to be known is the point `tool` of the campaign's `region`, not the target itself")
-    return said
+def _of_region(setup: Beforehand, request: Asked) -> list[str]:
+    """Notices where a plan is for the campaign's own region, or for its own point on the target."""
+    region, remarks = setup.campaign.region, []
+    if request.region is None and (region.file is not None or region.joints):
+        remarks.append("the target is to be known over the `region` that the campaign names")
+    if any(region.tool):
+        remarks.append("what is to be known is the point `tool` of the campaign's `region`, not the target itself")
+    return remarks
 
 
-def question(known: Beforehand, asked: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
-    """What is to be chosen from candidates, for what is asked, and what they tell.
+def question(setup: Beforehand, request: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
+    """The choice that a request makes of candidates, and the information of these.
 
     Args:
-        known: What is known before.
-        asked: What the choice is for.
+        setup: What is known before.
+        request: What the choice is for.
         candidates: C of them.
         region: Readings where the target is to be known, shape (R, columns).
     """
-    known, parts = with_pair(known, asked.apart, candidates)
-    of = told(known, candidates, asked.n)
-    for name, part in zip(asked.apart, parts, strict=True):
-        if not set(part) & set(of.kept):
+    setup, parts = with_pair(setup, request.apart, candidates)
+    unknowns = told(setup, candidates, request.n)
+    for name, part in zip(request.apart, parts, strict=True):
+        if not set(part) & set(unknowns.kept):
             raise CampaignError(
-                f"--apart {','.join(asked.apart)}: no configuration tells {name} from the other one and from the constants: the "
-                "data of this kind cannot"
+                f"--apart {','.join(request.apart)}: no configuration tells {name} from the other one and from the constants: "
+                "the data of this kind cannot"
             )
-    target = np.concatenate([target_columns(known, of, region, k, parts) for k in ends(known)])
-    choice = Choice(of.candidates, of.known, target, np.ones(len(target)), of.things, asked.criterion)
-    return choice, of
+    target = np.concatenate([target_columns(setup, unknowns, region, k, parts) for k in ends(setup)])
+    choice = Choice(
+        unknowns.candidates, unknowns.known, target, np.ones(len(target)), unknowns.things, request.criterion
+    )
+    return choice, unknowns
 
 
 def _visits(
-    known: Beforehand, best: Candidates, rng: np.random.Generator
+    setup: Beforehand, best: Candidates, rng: np.random.Generator
 ) -> tuple[Candidates, Approaches, tuple[str, ...]]:
-    """Configurations in the order of their visits, how each is come to, and what could not be had."""
-    robot = known.robot
+    """Configurations in the order of their visits, how each is approached, and notices of approaches without room."""
+    robot = setup.robot
     visited = best.some(short_order(best.readings))
     natural = as_they_come(visited.readings, robot.kinds)
-    approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(known), rng)
+    approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(setup), rng)
     number = np.flatnonzero(np.isfinite(approaches.via).all(axis=1))
-    blocked = number[~allowed(known, approaches.via[number], visited.first[number])]
+    blocked = number[~allowed(setup, approaches.via[number], visited.first[number])]
     approaches.via[blocked] = np.nan
     blocked = blocked[~approaches.straight[blocked]]
     approaches.sides[blocked] = natural[blocked]

@@ -25,7 +25,7 @@ import numpy as np
 
 Criterion = Literal["A", "D", "G"]
 
-ASKED, FEWEST_PASSES = 600, 1
+MOST_QUESTIONS, FEWEST_PASSES = 600, 1
 """Times that a member of a choice is asked whether another is better, and passes through all of them at the least: four or five
 passes are usual for thirty; of hundreds, each matters less."""
 
@@ -33,10 +33,10 @@ STARTS, FEW = 3, 40
 """Choices that exchanges begin with where few are wanted: the greedy one and random ones, which end within a per cent of each
 other; and up to how many that is. More begin with the greedy one alone."""
 
-BETTER = 1e-6
+LEAST_GAIN_SHARE = 1e-6
 """Share by which an exchange must be better: rounding must not exchange for ever."""
 
-SOLE = 1e-9
+LEAST_PRIOR_SHARE = 1e-9
 """Share of what a row tells that is known without it, below which Woodbury's identity leaves nothing but rounding."""
 
 WORST_ROUNDS = 6
@@ -45,14 +45,14 @@ WORST_ROUNDS = 6
 
 @dataclass(frozen=True)
 class Choice:
-    """What is to be chosen from, and for what.
+    """Candidates to choose from, and the criterion.
 
     Attributes:
-        rows: Of each candidate, in sigmas, shape (C, p, D); rows of nothing are zero.
-        known: Information of what is known without them, shape (D, D), positive definite.
+        rows: Of each candidate, in sigmas, shape (C, p, D), filled up with zeros.
+        known: Information without the candidates, shape (D, D), positive definite.
         target: How the target moves at the places of the region, shape (R, 3, D), [m].
         weight: Of each place, shape (R,), with mean 1.
-        solved_for: Unknowns, the first ones, of which nothing is asked: places of instruments.
+        solved_for: Number of the first unknowns, places of instruments, which are solved for but not judged.
         criterion: See above.
     """
 
@@ -82,15 +82,15 @@ class Choice:
         return np.asarray(half @ half.transpose(0, 2, 1))
 
     def cost(self, chosen: Sequence[int]) -> float:
-        """What the criterion makes as small as it can."""
+        """The criterion's value: the smaller, the better."""
         M = self.information(chosen)
         if self.criterion == "D":
-            own = slice(0, self.solved_for)
-            return float(np.linalg.slogdet(M[own, own])[1] - np.linalg.slogdet(M)[1])
-        spread = self.variances(M)
+            instruments = slice(0, self.solved_for)
+            return float(np.linalg.slogdet(M[instruments, instruments])[1] - np.linalg.slogdet(M)[1])
+        covariance = self.variances(M)
         if self.criterion == "G":
-            return float(np.linalg.eigvalsh(spread)[:, -1].max())
-        return float(np.mean(self.weight * np.einsum("rii->r", spread)))
+            return float(np.linalg.eigvalsh(covariance)[:, -1].max())
+        return float(np.mean(self.weight * np.einsum("rii->r", covariance)))
 
 
 def rms_sigma(choice: Choice, information: np.ndarray) -> float:
@@ -115,9 +115,9 @@ def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | 
     starts = starts or (STARTS if n <= FEW else 1)
     if choice.criterion == "G":
         return _for_the_worst(choice, n, rng, starts)
-    begun = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
-    ended = [exchanged(choice, chosen) for chosen in begun]
-    return min(ended, key=choice.cost)
+    choices = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
+    ends = [exchanged(choice, chosen) for chosen in choices]
+    return min(ends, key=choice.cost)
 
 
 def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
@@ -133,40 +133,42 @@ def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
 def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
     """A choice with members exchanged as long as that makes it better."""
     chosen = list(chosen)
-    for _ in range(max(FEWEST_PASSES, ASKED // max(len(chosen), 1))):
+    for _ in range(max(FEWEST_PASSES, MOST_QUESTIONS // max(len(chosen), 1))):
         covariance, solved = np.linalg.inv(choice.information(chosen)), _of_solved(choice, chosen)
-        settled = True
+        unchanged = True
         for place, old in enumerate(chosen):
-            rest = partial(choice.information, [c for c in chosen if c != old])
-            without, solved_without = taken_away(choice, covariance, solved, choice.rows[old], rest)
+            without_member = partial(choice.information, [c for c in chosen if c != old])
+            without, solved_without = taken_away(choice, covariance, solved, choice.rows[old], without_member)
             gain = _worth(choice, without, solved_without)
-            stays = gain[old]
+            gain_of_old = gain[old]
             gain[[c for c in chosen if c != old]] = -np.inf
             new = int(np.argmax(gain))
-            if new == old or gain[new] - stays <= BETTER * abs(stays):
+            if new == old or gain[new] - gain_of_old <= LEAST_GAIN_SHARE * abs(gain_of_old):
                 continue
-            chosen[place], settled = new, False
+            chosen[place], unchanged = new, False
             covariance = updated(without, choice.rows[new], 1.0)
             solved = updated(solved_without, choice.rows[new, :, : choice.solved_for], 1.0)
-        if settled:
+        if unchanged:
             break
     return chosen
 
 
 def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
-    """Candidates in an order of which every beginning is a good choice of its length: least worth last, then more of them.
+    """Candidates in an order of which every beginning is a good choice of its length.
+
+    The choice comes first, its least useful member last, then further candidates.
 
     Args:
         choice: C candidates.
         chosen: A choice.
-        most: How long the order is to be, at least as long as the choice.
+        most: Length of the order, at least that of the choice.
     """
-    left, last = list(chosen), []
-    while left:
-        covariance, solved = np.linalg.inv(choice.information(left)), _of_solved(choice, left)
-        loss = [-worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[left][:, None]]
-        last.append(left.pop(int(np.argmin(loss))))
-    return greedy(choice, most, last[::-1])
+    remaining, removed = list(chosen), []
+    while remaining:
+        covariance, solved = np.linalg.inv(choice.information(remaining)), _of_solved(choice, remaining)
+        loss = [-worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[remaining][:, None]]
+        removed.append(remaining.pop(int(np.argmin(loss))))
+    return greedy(choice, most, removed[::-1])
 
 
 def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
@@ -188,35 +190,35 @@ def _worth(choice: Choice, covariance: np.ndarray, solved: np.ndarray) -> np.nda
 def worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
     """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
     if choice.criterion == "D":
-        own = rows[:, :, : choice.solved_for]
-        return _log_volume(rows, covariance, sign) - _log_volume(own, solved, sign)
+        of_instruments = rows[:, :, : choice.solved_for]
+        return _log_volume(rows, covariance, sign) - _log_volume(of_instruments, solved, sign)
     n, p, D = rows.shape
-    moved = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D)
-    seen = moved @ rows.transpose(0, 2, 1)
-    asked = (moved.reshape(n * p, D) @ choice.averaged).reshape(n, p, D) @ moved.transpose(0, 2, 1)
-    return np.asarray(sign * np.einsum("nii->n", np.linalg.solve(_beside(seen, sign), asked)))
+    propagated = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D)
+    in_sigmas = propagated @ rows.transpose(0, 2, 1)
+    cost_change = (propagated.reshape(n * p, D) @ choice.averaged).reshape(n, p, D) @ propagated.transpose(0, 2, 1)
+    return np.asarray(sign * np.einsum("nii->n", np.linalg.solve(_beside(in_sigmas, sign), cost_change)))
 
 
 def _log_volume(rows: np.ndarray, covariance: np.ndarray, sign: float) -> np.ndarray:
     """Logarithm of det (1 + sign F Sigma F'), shape (n,)."""
     n, p, D = rows.shape
-    seen = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D) @ rows.transpose(0, 2, 1)
-    return np.asarray(np.linalg.slogdet(_beside(seen, sign))[1])
+    in_sigmas = (rows.reshape(n * p, D) @ covariance).reshape(n, p, D) @ rows.transpose(0, 2, 1)
+    return np.asarray(np.linalg.slogdet(_beside(in_sigmas, sign))[1])
 
 
-def _beside(seen: np.ndarray, sign: float) -> np.ndarray:
+def _beside(in_sigmas: np.ndarray, sign: float) -> np.ndarray:
     """1 + sign F Sigma F', shape (..., p, p), positive definite.
 
-    Of rows that are taken away the eigenvalues of F Sigma F' are below 1, by what is known without them. Of rows that alone tell
-    something that is next to nothing, and rounding may leave nothing at all: then :data:`SOLE` stands for it.
+    The eigenvalues of F Sigma F' of rows that are taken away are below 1 by what is known without them. Where these rows alone
+    tell something, that is next to nothing, and rounding may leave nothing at all: :data:`LEAST_PRIOR_SHARE` replaces it.
     """
-    one = np.eye(seen.shape[-1])
-    if sign > 0.0 or not seen.size:
-        return one + sign * seen
-    values, V = np.linalg.eigh(seen)
-    if values.max() < 1.0 - SOLE:
-        return one - seen
-    return np.asarray((V * np.maximum(1.0 - values, SOLE)[..., None, :]) @ np.swapaxes(V, -1, -2))
+    one = np.eye(in_sigmas.shape[-1])
+    if sign > 0.0 or not in_sigmas.size:
+        return one + sign * in_sigmas
+    values, V = np.linalg.eigh(in_sigmas)
+    if values.max() < 1.0 - LEAST_PRIOR_SHARE:
+        return one - in_sigmas
+    return np.asarray((V * np.maximum(1.0 - values, LEAST_PRIOR_SHARE)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
 def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
@@ -227,32 +229,36 @@ def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
 
 
 def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
-    """Inverse of the information of those unknowns alone of which nothing is asked."""
-    own = slice(0, choice.solved_for)
-    return np.linalg.inv(choice.information(chosen)[own, own])
+    """Inverse of the information of the instruments' unknowns alone, see :attr:`Choice.solved_for`."""
+    instruments = slice(0, choice.solved_for)
+    return np.linalg.inv(choice.information(chosen)[instruments, instruments])
 
 
 def taken_away(
-    choice: Choice, covariance: np.ndarray, solved: np.ndarray, F: np.ndarray, rest: Callable[[], np.ndarray]
+    choice: Choice,
+    covariance: np.ndarray,
+    solved: np.ndarray,
+    F: np.ndarray,
+    others: Callable[[], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Two covariances without some rows: of all unknowns, (D, D), and of those alone of which nothing is asked.
+    """Two covariances without some rows: of all unknowns, (D, D), and of the instruments' alone.
 
     Args:
-        choice: Says which those are.
+        choice: Says which unknowns are the instruments'.
         covariance: With the rows, shape (D, D).
-        solved: Likewise of these unknowns alone.
+        solved: Likewise of the instruments' unknowns.
         F: The rows, shape (p, D).
-        rest: Information without them, shape (D, D): asked for where they alone tell something.
+        others: Information without them, shape (D, D): asked for where they alone tell something.
     """
-    own = slice(0, choice.solved_for)
-    if len(F) and np.linalg.eigvalsh(F @ covariance @ F.T)[-1] > 1.0 - SOLE:
-        M = rest()
-        return np.linalg.inv(M), np.linalg.inv(M[own, own])
-    return updated(covariance, F, -1.0), updated(solved, F[:, own], -1.0)
+    instruments = slice(0, choice.solved_for)
+    if len(F) and np.linalg.eigvalsh(F @ covariance @ F.T)[-1] > 1.0 - LEAST_PRIOR_SHARE:
+        M = others()
+        return np.linalg.inv(M), np.linalg.inv(M[instruments, instruments])
+    return updated(covariance, F, -1.0), updated(solved, F[:, instruments], -1.0)
 
 
 def updated(covariance: np.ndarray, F: np.ndarray, sign: float) -> np.ndarray:
     """The covariance with rows (p, D) added, or taken away (sign -1)."""
-    moved = F @ covariance
-    inner = np.eye(len(F)) + sign * (moved @ F.T)
-    return np.asarray(covariance - sign * (moved.T @ np.linalg.solve(inner, moved)))
+    propagated = F @ covariance
+    inner = np.eye(len(F)) + sign * (propagated @ F.T)
+    return np.asarray(covariance - sign * (propagated.T @ np.linalg.solve(inner, propagated)))

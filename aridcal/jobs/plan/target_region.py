@@ -12,35 +12,39 @@ from aridcal.jobs.calibrate.region import corners, region_of_table
 from aridcal.jobs.plan.beforehand import Beforehand
 from aridcal.jobs.plan.configurations import allowed, reaching
 
-PLACES = 300
+REGION_PLACES = 300
 """Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""
 
 
-def region_readings(known: Beforehand, path: Path | None, rng: np.random.Generator) -> np.ndarray:
+def region_readings(setup: Beforehand, path: Path | None, rng: np.random.Generator) -> np.ndarray:
     """Readings of the region of a table, else of the campaign's own, else of the joints' whole ranges, shape (R, columns)."""
-    own = known.campaign.region
+    settings = setup.campaign.region
     if path is not None:
-        return region(known, path, rng)
-    if own.file is not None:
-        return region(known, own.file, rng, own.tool)
-    if own.joints:
-        seen = known.rows.readings
-        ends = (np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)) if len(seen) else limits_of(known.robot)
-        low, high = corners(known.campaign, known.robot, *ends)
-        readings = rng.uniform(low, high, (PLACES, len(low)))
+        return region(setup, path, rng)
+    if settings.file is not None:
+        return region(setup, settings.file, rng, settings.tool)
+    if settings.joints:
+        readings_so_far = setup.rows.readings
+        ends = (
+            (np.nanmin(readings_so_far, axis=0), np.nanmax(readings_so_far, axis=0))
+            if len(readings_so_far)
+            else limits_of(setup.robot)
+        )
+        low, high = corners(setup.campaign, setup.robot, *ends)
+        readings = rng.uniform(low, high, (REGION_PLACES, len(low)))
     else:
-        readings = draw_readings(known.robot, PLACES, rng)
-    inside = readings[allowed(known, readings, np.zeros(len(readings), dtype=int))]
+        readings = draw_readings(setup.robot, REGION_PLACES, rng)
+    inside = readings[allowed(setup, readings, np.zeros(len(readings), dtype=int))]
     return inside if len(inside) else readings
 
 
 def region(
-    known: Beforehand, path: Path, rng: np.random.Generator, tool: Sequence[float] = (0.0, 0.0, 0.0)
+    setup: Beforehand, path: Path, rng: np.random.Generator, tool: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> np.ndarray:
     """Readings of a table of joints, or of readings that bring the target to a table's places, shape (R, columns).
 
     Args:
-        known: What can be measured.
+        setup: What can be measured.
         path: The table.
         rng: Draws where to start from.
         tool: The point that is brought there, in the target's axes, [m].
@@ -53,6 +57,6 @@ def region(
         def miss(R: np.ndarray, p: np.ndarray, rows: np.ndarray) -> np.ndarray:
             return p + R @ np.asarray(tool) - places[rows]
 
-        return reaching(known, 0, miss, len(places), rng, f"take places out of {path} that it cannot reach")
+        return reaching(setup, 0, miss, len(places), rng, f"take places out of {path} that it cannot reach")
 
-    return region_of_table(known.campaign, known.robot, path, reach)
+    return region_of_table(setup.campaign, setup.robot, path, reach)

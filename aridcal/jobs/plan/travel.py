@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-SWEEPS = 50
+MOST_SWEEPS = 50
 """Times at the most that all pieces are tried; ten are usual."""
 
 
 def times(readings: np.ndarray) -> np.ndarray:
-    """How long the way between any two takes, shape (n, n): as long as the joint that moves most, [rad] or [m].
+    """Time of the way between any two configurations, shape (n, n): the travel of the joint that moves most, [rad] or [m].
 
     Joints of an arm move together, and the slowest decides.
 
@@ -20,7 +20,7 @@ def times(readings: np.ndarray) -> np.ndarray:
 
 
 def length(way: np.ndarray, order: np.ndarray) -> float:
-    """Of a way, from the first to the last."""
+    """Length of the way through an order, from its first configuration to its last."""
     return float(way[order[:-1], order[1:]].sum())
 
 
@@ -34,21 +34,21 @@ def short_order(readings: np.ndarray) -> np.ndarray:
     """
     n, way = len(readings), times(readings)
     order = [int(np.argmin(np.abs(readings).max(axis=1)))]
-    left = np.ones(n, dtype=bool)
+    unvisited = np.ones(n, dtype=bool)
     while len(order) < n:
-        left[order[-1]] = False
-        order.append(int(np.argmin(np.where(left, way[order[-1]], np.inf))))
+        unvisited[order[-1]] = False
+        order.append(int(np.argmin(np.where(unvisited, way[order[-1]], np.inf))))
     best = np.array(order)
-    for _ in range(SWEEPS):
+    for _ in range(MOST_SWEEPS):
         before = length(way, best)
         for i in range(1, n - 1):
-            best = _turned(way, best, i)
+            best = _with_best_reversal(way, best, i)
         if length(way, best) >= before * (1.0 - 1e-12):
             break
     return best
 
 
-def _turned(way: np.ndarray, order: np.ndarray, i: int) -> np.ndarray:
+def _with_best_reversal(way: np.ndarray, order: np.ndarray, i: int) -> np.ndarray:
     """The order with the piece from place i on turned round that shortens the way most, if any does."""
     ends = np.arange(i + 1, len(order))
     after = np.minimum(ends + 1, len(order) - 1)

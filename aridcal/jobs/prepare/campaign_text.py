@@ -28,7 +28,7 @@ from aridcal.system.reading.dialect import Dialect
 from aridcal.system.reading.regular_files import URDF
 
 # Of a line with a comment.
-WIDTH = 116
+COMMENT_WIDTH = 116
 # So wide that YAML breaks no value.
 ONE_LINE = 10_000
 HEAD = """\
@@ -94,7 +94,9 @@ def draft(
     dialect, why = best_dialect(dialects, proposed, asker)
     proposal = proposed(dialect, asker)
     say_table(dialect, tables, maker, why, proposal)
-    proposal.guesses = [replace(guess, value=_placed(guess.value, out.parent)) for guess in proposal.guesses]
+    proposal.guesses = [
+        replace(guess, value=_with_relative_paths(guess.value, out.parent)) for guess in proposal.guesses
+    ]
     text = campaign_text(proposal, source, tables, out.parent)
     campaign = parse_settings(text, out, Campaign)
     if any(isinstance(table, pd.DataFrame) for table in tables):
@@ -138,10 +140,10 @@ def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable],
 
 def _source(source: Named, home: Path) -> list[str]:
     """The lines that name the robot's description; what lies in a cache is not named by its way from the campaign."""
-    placed = str if source.cached else lambda path: _relative(path, home)
-    lines = [f"  urdf: {scalar(placed(source.path))}"]
+    shown = str if source.cached else lambda path: _relative(path, home)
+    lines = [f"  urdf: {scalar(shown(source.path))}"]
     if source.packages:
-        lines.append(f"  packages: {scalar({name: placed(place) for name, place in source.packages.items()})}")
+        lines.append(f"  packages: {scalar({name: shown(place) for name, place in source.packages.items()})}")
     if source.arguments:
         lines.append(f"  arguments: {scalar(dict(source.arguments))}")
     return lines
@@ -166,10 +168,10 @@ def _mapping(guesses: Sequence[Guess], indent: str) -> list[str]:
         entries = list(group)
         # A default has no line of its own: then the comment says what it is about.
         about = "" if entries[0].value is not None else f"{entries[0].name}: "
-        said = f"{'' if sure else 'GUESSED: '}{about}{why}"
-        lines += textwrap.wrap(said, WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}#   ")
-        written = [guess for guess in entries if guess.value is not None]
-        lines += [f"{indent}{scalar(guess.name)}: {scalar(guess.value)}" for guess in written]
+        comment = f"{'' if sure else 'GUESSED: '}{about}{why}"
+        lines += textwrap.wrap(comment, COMMENT_WIDTH, initial_indent=f"{indent}# ", subsequent_indent=f"{indent}#   ")
+        values = [guess for guess in entries if guess.value is not None]
+        lines += [f"{indent}{scalar(guess.name)}: {scalar(guess.value)}" for guess in values]
     return lines
 
 
@@ -179,10 +181,10 @@ def scalar(value: Any) -> str:
     return text.removesuffix("...\n").strip()
 
 
-def _placed(value: Any, home: Path) -> Any:
+def _with_relative_paths(value: Any, home: Path) -> Any:
     """A value whose files are named as seen from the campaign."""
     if isinstance(value, dict):
-        return {key: _placed(entry, home) for key, entry in value.items()}
+        return {key: _with_relative_paths(entry, home) for key, entry in value.items()}
     return _relative(value, home) if isinstance(value, Path) else value
 
 

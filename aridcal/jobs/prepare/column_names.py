@@ -26,30 +26,30 @@ UNIT_WORDS = {
 # Words for one letter.
 SYNONYMS = {"roll": "rx", "pitch": "ry", "yaw": "rz", "alpha": "a", "beta": "b", "gamma": "c"}
 # Words that tell nothing.
-FILLERS = _set("joint joints position positions pos reading readings state states robot value angle")
+FILLER_WORDS = _set("joint joints position positions pos reading readings state states robot value angle")
 # Words for what was asked for.
-COMMANDED = _set(
+COMMANDED_WORDS = _set(
     "goal cmd command commanded desired nominal setpoint ref reference planned wanted expected theoretical"
 )
 # Words for what was measured.
-MEASURED = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
+MEASURED_WORDS = _set("measured measurement meas actual tracker laser mocap leica marker reflector smr probe")
 # Of these, words for what may be one of several on a body.
 ON_A_BODY = _set("marker reflector smr probe")
 # Words for how well something was measured.
-SCATTER = _set("std sigma sd stdev error err residual")
+SCATTER_WORDS = _set("std sigma sd stdev error err residual")
 # Words for what is neither a reading nor a pose.
-OTHER = SCATTER | _set(
+OTHER_WORDS = SCATTER_WORDS | _set(
     "delta diff dev deviation d v vel velocity speed qd acc acceleration f force torque tau "
     "moment effort current temperature temp direction"
 )
 # Words for orientations.
-TURNED = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion e")
+ORIENTATION_WORDS = _set("r rot rotation rv rotvec euler orientation ori angle angles rpy o q quat quaternion e")
 # Words for quaternions.
-QUATERNION_LIKE = _set("q quat quaternion")
+QUATERNION_WORDS = _set("q quat quaternion")
 # Words for the scalar of a quaternion.
-SCALAR = _set("0 4 w s r scalar real qw qs qr qo")
+SCALAR_WORDS = _set("0 4 w s r scalar real qw qs qr qo")
 # Words for the numbers of a position, where they are numbered.
-PLACED = _set("position pos p t trans translation xyz point pose tcp")
+POSITION_WORDS = _set("position pos p t trans translation xyz point pose tcp")
 # Angles whose columns are called by Greek letters or otherwise, in their order.
 NAMED_ANGLES = (("phi", "theta", "psi"), ("psi", "theta", "phi"), ("o", "a", "t"), ("az", "el", "roll"))
 # A cell of a matrix: what it is of, its row and its column.
@@ -57,7 +57,7 @@ MATRIX_CELL = re.compile(r"(.*?)[\s_\[(,.]*([0-4])[\s_\]\[)(,.]*([0-4])[\])]?")
 # Numbers of a matrix in a row: of a rotation, of a pose without and with its last line.
 MATRIX_SIZES = (9, 12, 16)
 # Words for joints.
-JOINT_LIKE = _set("j q jt joint joints axis a theta th angle robax gelenk achse axe eje asse")
+JOINT_WORDS = _set("j q jt joint joints axis a theta th angle robax gelenk achse axe eje asse")
 # Where a word ends without a separator: before a capital, a number, or a letter after a number.
 WORD_ENDS = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])")
 
@@ -72,7 +72,7 @@ class Family:
     Attributes:
         columns: In the order of the letters or numbers.
         about: The words that they share.
-        numbers: Where they are numbered: their numbers.
+        numbers: Of the columns, where they are numbered.
     """
 
     columns: tuple[str, ...]
@@ -82,7 +82,7 @@ class Family:
     @property
     def commanded(self) -> bool:
         """Whether the names speak of what was asked for, not of what was measured."""
-        return bool(self.about & COMMANDED)
+        return bool(self.about & COMMANDED_WORDS)
 
     @property
     def computed(self) -> bool:
@@ -92,20 +92,20 @@ class Family:
     @property
     def measured(self) -> bool:
         """Whether the names say that this was measured."""
-        return bool(self.about & MEASURED)
+        return bool(self.about & MEASURED_WORDS)
 
 
 def words(name: str) -> tuple[str, ...]:
     """A name's words without units: ``Measured X [mm]`` and ``measuredX`` give ``measured x``, ``J1_deg`` ``j 1``."""
-    said = tuple(SYNONYMS.get(word, word) for word in _split(name))
-    without_units = tuple(word for word in said if word not in UNIT_WORDS)
-    return without_units or said
+    parts = tuple(SYNONYMS.get(word, word) for word in _split(name))
+    without_units = tuple(word for word in parts if word not in UNIT_WORDS)
+    return without_units or parts
 
 
 def unit(name: str) -> str | None:
     """The unit that a name ends in, as campaigns write it: ``deg`` of ``J1 [degrees]``; None where it ends in none."""
-    said = _split(name)
-    return UNIT_WORDS.get(said[-1]) if len(said) > 1 else None
+    parts = _split(name)
+    return UNIT_WORDS.get(parts[-1]) if len(parts) > 1 else None
 
 
 def lettered(names: Iterable[str], letters: str) -> list[Family]:
@@ -118,16 +118,16 @@ def lettered(names: Iterable[str], letters: str) -> list[Family]:
     Returns:
         Families that have all their members; of two columns for one letter the first.
     """
-    found: dict[_Pattern, dict[str, str]] = {}
+    groups: dict[_Pattern, dict[str, str]] = {}
     for name in names:
-        said = words(name)
-        for k, word in enumerate(said):
+        parts = words(name)
+        for k, word in enumerate(parts):
             stem, letter = word[:-1], word[-1]
             if letter in letters:
-                members = found.setdefault((said[:k], stem, said[k + 1 :]), {})
+                members = groups.setdefault((parts[:k], stem, parts[k + 1 :]), {})
                 members.setdefault(letter, name)
     families = []
-    for (before, stem, after), members in found.items():
+    for (before, stem, after), members in groups.items():
         if len(members) == len(letters):
             columns = tuple(members[letter] for letter in letters)
             about = frozenset((*before, stem, *after)) - {""}
@@ -141,16 +141,16 @@ def numbered(names: Iterable[str]) -> list[Family]:
     Args:
         names: Columns; of two with the same number the first counts.
     """
-    found: dict[_Pattern, dict[int, str]] = {}
+    groups: dict[_Pattern, dict[int, str]] = {}
     for name in names:
-        said = words(name)
-        places = [k for k, word in enumerate(said) if word.isdecimal()]
+        parts = words(name)
+        places = [k for k, word in enumerate(parts) if word.isdecimal()]
         if len(places) == 1:
             k = places[0]
-            members = found.setdefault((said[:k], "", said[k + 1 :]), {})
-            members.setdefault(int(said[k]), name)
+            members = groups.setdefault((parts[:k], "", parts[k + 1 :]), {})
+            members.setdefault(int(parts[k]), name)
     families = []
-    for (before, _, after), members in found.items():
+    for (before, _, after), members in groups.items():
         numbers = tuple(sorted(members))
         without_gap = tuple(range(numbers[0], numbers[0] + len(numbers)))
         if numbers == without_gap:
@@ -172,42 +172,42 @@ def match_joints(joints: Sequence[str], names: Sequence[str]) -> tuple[dict[str,
     """
     if set(joints) <= set(names):
         return {joint: joint for joint in joints}, "same name"
-    plain = [name for name in names if not set(words(name)) & OTHER]
-    similar = _similar(joints, plain)
+    readings = [name for name in names if not set(words(name)) & OTHER_WORDS]
+    similar = _similar(joints, readings)
     if similar is not None:
         return similar, "similar name"
-    families = joint_families(plain, len(joints))
+    families = joint_families(readings, len(joints))
     if not families:
         return None
     family = families[0]
-    own = _numbers(joints)
-    if sorted(own) == list(family.numbers):
+    numbers = _numbers(joints)
+    if sorted(numbers) == list(family.numbers):
         column = dict(zip(family.numbers, family.columns, strict=True))
-        return {joint: column[number] for joint, number in zip(joints, own, strict=True)}, "number"
+        return {joint: column[number] for joint, number in zip(joints, numbers, strict=True)}, "number"
     return dict(zip(joints, family.columns, strict=True)), "order"
 
 
 def joint_families(names: Sequence[str], count: int) -> list[Family]:
     """Numbered families that may be so many joints' readings, all that are the likeliest by their names."""
-    plain = [name for name in names if not set(words(name)) & OTHER]
-    families = [family for family in numbered(plain) if _may_be_joints(family, count)]
+    readings = [name for name in names if not set(words(name)) & OTHER_WORDS]
+    families = [family for family in numbered(readings) if _may_be_joints(family, count)]
     least = min(map(_doubt, families), default=None)
     return [family for family in families if _doubt(family) == least]
 
 
 def _similar(joints: Sequence[str], names: Sequence[str]) -> dict[str, str] | None:
     """The column of each joint whose words are the joint's; None unless every joint has one of its own."""
-    found = {joint: column for joint in joints if (column := _alike(joint, names))}
-    complete = len(found) == len(joints) == len(set(found.values()))
-    return found if complete else None
+    columns = {joint: column for joint in joints if (column := _alike(joint, names))}
+    complete = len(columns) == len(joints) == len(set(columns.values()))
+    return columns if complete else None
 
 
 def _may_be_joints(family: Family, count: int) -> bool:
-    return len(family.columns) == count and bool(family.about & (JOINT_LIKE | FILLERS))
+    return len(family.columns) == count and bool(family.about & (JOINT_WORDS | FILLER_WORDS))
 
 
 def _doubt(family: Family) -> tuple[bool, bool]:
-    """Sorts families by how likely they hold what was measured: the surest first."""
+    """Sort key of families by how likely they hold what was measured, the surest first."""
     return family.commanded or "target" in family.about, not family.measured
 
 
@@ -221,26 +221,26 @@ def positions(names: Iterable[str]) -> list[Family]:
         Family(family.columns[:3], family.about, family.numbers[:3])
         for family in numbered(names)
         if (len(family.columns) == 3 or (len(family.columns) in (6, 7) and family.about & {"pose", "tcp"}))
-        and family.about & PLACED
-        and not family.about & TURNED
+        and family.about & POSITION_WORDS
+        and not family.about & ORIENTATION_WORDS
     ]
-    by_letter = [family for family in lettered(names, "xyz") if not family.about & TURNED]
-    found = [family for family in (*by_letter, *by_number) if not family.about & OTHER]
-    return sorted(found, key=lambda family: (family.commanded, not family.measured, len(family.about)))
+    by_letter = [family for family in lettered(names, "xyz") if not family.about & ORIENTATION_WORDS]
+    families = [family for family in (*by_letter, *by_number) if not family.about & OTHER_WORDS]
+    return sorted(families, key=lambda family: (family.commanded, not family.measured, len(family.about)))
 
 
 def quaternions(names: Iterable[str]) -> list[Family]:
     """Families of four columns that may be quaternions, the likeliest first: x y z w by letter, or numbered."""
     names = list(names)
     by_letter = lettered(names, "xyzw")
-    by_number = [family for family in numbered(names) if len(family.columns) == 4 and family.about & TURNED]
+    by_number = [family for family in numbered(names) if len(family.columns) == 4 and family.about & ORIENTATION_WORDS]
     by_number += [
         Family(family.columns[3:], family.about, family.numbers[3:])
         for family in numbered(names)
         if len(family.columns) == 7 and family.about & {"pose", "tcp"}
     ]
-    found = [family for family in (*by_letter, *_with_scalars(names), *by_number) if not family.about & OTHER]
-    return sorted(found, key=lambda family: (family.commanded, not family.measured, bool(family.numbers)))
+    families = [family for family in (*by_letter, *_with_scalars(names), *by_number) if not family.about & OTHER_WORDS]
+    return sorted(families, key=lambda family: (family.commanded, not family.measured, bool(family.numbers)))
 
 
 def angle_triples(names: Iterable[str]) -> list[Family]:
@@ -249,33 +249,33 @@ def angle_triples(names: Iterable[str]) -> list[Family]:
     By axis (``rx ry rz``, where another word speaks of orientation), KUKA's ``A B C``, Fanuc's ``W P R``.
     """
     names = list(names)
-    by_axis = [family for family in lettered(names, "xyz") if family.about & TURNED]
+    by_axis = [family for family in lettered(names, "xyz") if family.about & ORIENTATION_WORDS]
     candidates = [*by_axis, *lettered(names, "abc"), *lettered(names, "wpr")]
     by_words = {words(name): name for name in reversed(names)}
-    for said in NAMED_ANGLES:
-        if all((SYNONYMS.get(word, word),) in by_words for word in said):
-            candidates.append(Family(tuple(by_words[(SYNONYMS.get(word, word),)] for word in said), frozenset()))
+    for angles in NAMED_ANGLES:
+        if all((SYNONYMS.get(word, word),) in by_words for word in angles):
+            candidates.append(Family(tuple(by_words[(SYNONYMS.get(word, word),)] for word in angles), frozenset()))
     for family in numbered(names):
-        if len(family.columns) == 3 and family.about & TURNED:
+        if len(family.columns) == 3 and family.about & ORIENTATION_WORDS:
             candidates.append(family)
         elif len(family.columns) == 6 and family.about & {"pose", "tcp"}:
             candidates.append(Family(family.columns[3:], family.about, family.numbers[3:]))
-    found = [family for family in candidates if not family.about & OTHER]
-    return sorted(found, key=lambda family: (family.commanded, not family.measured))
+    families = [family for family in candidates if not family.about & OTHER_WORDS]
+    return sorted(families, key=lambda family: (family.commanded, not family.measured))
 
 
 def _with_scalars(names: Sequence[str]) -> list[Family]:
     """Quaternions whose scalar is called otherwise than their vector: ``Q0 Qx Qy Qz``."""
-    found = []
+    families = []
     for family in lettered(names, "xyz"):
-        if not family.about & QUATERNION_LIKE:
+        if not family.about & QUATERNION_WORDS:
             continue
         for name in names:
-            said = set(words(name))
-            if name not in family.columns and said & SCALAR and said - SCALAR <= family.about:
-                found.append(Family((*family.columns, name), family.about))
+            parts = set(words(name))
+            if name not in family.columns and parts & SCALAR_WORDS and parts - SCALAR_WORDS <= family.about:
+                families.append(Family((*family.columns, name), family.about))
                 break
-    return found
+    return families
 
 
 @dataclass(frozen=True)
@@ -283,7 +283,7 @@ class MatrixColumns:
     """Columns of a rotation matrix, or of a pose as one.
 
     Attributes:
-        rotation: Row by row, each way in which they may be meant.
+        rotation: Columns of the matrix row by row, once for each way in which they may be meant.
         position: Columns of the place, one triple for each of these ways; None: there is none.
         about: The words that they share.
     """
@@ -301,29 +301,29 @@ def matrices(names: Iterable[str]) -> list[MatrixColumns]:
         place = MATRIX_CELL.fullmatch(name)
         if place is not None:
             cells.setdefault(place[1].strip(" _[(."), {}).setdefault((int(place[2]), int(place[3])), name)
-    found = []
+    matrices_found = []
     for prefix, cell in cells.items():
         for base in (1, 0):
             span = range(base, base + 3)
             if all((i, j) in cell for i in span for j in span):
                 rotation = tuple(cell[i, j] for i in span for j in span)
-                beside = [cell.get((i, base + 3)) for i in span]
-                position = ((beside[0], beside[1], beside[2]),) if all(beside) else None
-                turned = tuple(cell[j, i] for i in span for j in span)
-                found.append(MatrixColumns((rotation, turned), position, frozenset(words(prefix))))  # type: ignore[arg-type]
+                last_column = [cell.get((i, base + 3)) for i in span]
+                position = ((last_column[0], last_column[1], last_column[2]),) if all(last_column) else None
+                transposed = tuple(cell[j, i] for i in span for j in span)
+                matrices_found.append(MatrixColumns((rotation, transposed), position, frozenset(words(prefix))))  # type: ignore[arg-type]
                 break
-    found += [_numbered_matrix(family) for family in numbered(names) if len(family.columns) in MATRIX_SIZES]
-    return [*found, *_of_vectors(names)]
+    matrices_found += [_numbered_matrix(family) for family in numbered(names) if len(family.columns) in MATRIX_SIZES]
+    return [*matrices_found, *_of_vectors(names)]
 
 
 def _numbered_matrix(family: Family) -> MatrixColumns:
     """A matrix whose cells are counted through: row by row, or column by column."""
     c, size = family.columns, len(family.columns)
-    wide = 3 if size == 9 else 4
-    rows = tuple(c[wide * i + j] for i in range(3) for j in range(3))
-    tall = 4 if size == 16 else 3
-    columns = tuple(c[tall * j + i] for i in range(3) for j in range(3))
-    place = None if size == 9 else ((c[3], c[7], c[11]), (c[3 * tall], c[3 * tall + 1], c[3 * tall + 2]))
+    columns_wide = 3 if size == 9 else 4
+    rows = tuple(c[columns_wide * i + j] for i in range(3) for j in range(3))
+    rows_tall = 4 if size == 16 else 3
+    columns = tuple(c[rows_tall * j + i] for i in range(3) for j in range(3))
+    place = None if size == 9 else ((c[3], c[7], c[11]), (c[3 * rows_tall], c[3 * rows_tall + 1], c[3 * rows_tall + 2]))
     return MatrixColumns((rows, columns), place, family.about)
 
 
@@ -340,56 +340,58 @@ def _of_vectors(names: Sequence[str]) -> list[MatrixColumns]:
 
 def places(free: Sequence[str]) -> list[Family]:
     """Families that may hold measured positions; those of a matrix of a pose first."""
-    found, in_matrices = [], set()
+    of_matrices, in_matrices = [], set()
     for matrix in matrices(free):
         in_matrices |= {name for way in matrix.rotation for name in way}
-        found += [Family(place, matrix.about) for place in matrix.position or ()]
-    inside = {name for family in found for name in family.columns}
+        of_matrices += [Family(place, matrix.about) for place in matrix.position or ()]
+    inside = {name for family in of_matrices for name in family.columns}
     plain = positions(name for name in free if name not in in_matrices | inside)
-    return [*found, *(family for family in plain if not set(family.columns) & inside)]
+    return [*of_matrices, *(family for family in plain if not set(family.columns) & inside)]
 
 
 def has_orientation(free: Sequence[str], place: Family) -> bool:
     """True of a position beside which an orientation has the same words."""
-    own = place.about - PLACED
+    about = place.about - POSITION_WORDS
     triples = (*quaternions(free), *angle_triples(free))
-    return any(family.about - TURNED == own and not set(family.columns) & set(place.columns) for family in triples)
+    return any(
+        family.about - ORIENTATION_WORDS == about and not set(family.columns) & set(place.columns) for family in triples
+    )
 
 
 def named(names: Iterable[str], *wanted: str) -> str | None:
-    """The first column that is one of some words, with a unit perhaps and a word that says that it was measured."""
+    """The first column called by one of some words, apart from its unit and words such as ``measured``."""
     for name in names:
-        said = [word for word in words(name) if word not in MEASURED | {"name"}]
-        if len(said) == 1 and said[0] in wanted:
+        parts = [word for word in words(name) if word not in MEASURED_WORDS | {"name"}]
+        if len(parts) == 1 and parts[0] in wanted:
             return name
     return None
 
 
 def _split(name: str) -> tuple[str, ...]:
-    """``actualQ1 [deg]``: ``actual q 1 deg``."""
-    apart = WORD_ENDS.sub(" ", name)
-    return tuple(re.findall(r"[^\W_]+|°", apart.lower())) or (name,)
+    """A name's words and numbers in small letters: ``actual q 1 deg`` of ``actualQ1 [deg]``."""
+    spaced = WORD_ENDS.sub(" ", name)
+    return tuple(re.findall(r"[^\W_]+|°", spaced.lower())) or (name,)
 
 
 def _core(name: str) -> tuple[str, ...]:
     """A name's words without those that tell nothing."""
-    said = words(name)
-    return tuple(word for word in said if word not in FILLERS | MEASURED) or said
+    parts = words(name)
+    return tuple(word for word in parts if word not in FILLER_WORDS | MEASURED_WORDS) or parts
 
 
 def _alike(joint: str, names: Sequence[str]) -> str | None:
     """The one column whose words are the joint's, fillers aside."""
     core = _core(joint)
-    if not any(word.isalpha() and word not in JOINT_LIKE for word in core):
+    if not any(word.isalpha() and word not in JOINT_WORDS for word in core):
         return None  # only a number: other columns have numbers too
-    found = [name for name in names if _core(name) == core]
-    return found[0] if len(found) == 1 else None
+    columns = [name for name in names if _core(name) == core]
+    return columns[0] if len(columns) == 1 else None
 
 
 def _numbers(joints: Sequence[str]) -> list[int]:
     """The one number in each name, -1 where there is none."""
-    found = [re.findall(r"\d+", joint) for joint in joints]
-    prefixes = {tuple(digits[:-1]) for digits in found}
+    digits_of = [re.findall(r"\d+", joint) for joint in joints]
+    prefixes = {tuple(digits[:-1]) for digits in digits_of}
     if joints and len(prefixes) == 1:  # panda2_joint1 … panda2_joint7
-        found = [digits[-1:] for digits in found]
-    return [int(digits[0]) if len(digits) == 1 else -1 for digits in found]
+        digits_of = [digits[-1:] for digits in digits_of]
+    return [int(digits[0]) if len(digits) == 1 else -1 for digits in digits_of]

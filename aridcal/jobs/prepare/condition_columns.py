@@ -11,7 +11,7 @@ from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.files.quantities import STD
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
-    SCATTER,
+    SCATTER_WORDS,
     angle_triples,
     named,
     numbered,
@@ -43,38 +43,38 @@ POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
 def say_covariates(
     table: Table,
     used: set[str],
-    made: Proposal,
+    proposal: Proposal,
     clock: str | None = None,
     noise: str = POSE_NOISE,
     spare: Collection[str] = (),
 ) -> None:
-    """Say what the columns are that are left: sigmas of the rows, covariates, and what is neither.
+    """Say what the remaining columns are: sigmas of the rows, covariates, and others.
 
     Args:
         table: The measurements.
         used: Columns that are spoken for.
-        made: Told what was found.
+        proposal: Told what was found.
         clock: Column of seconds that was made of dates.
-        noise: How it is stated.
+        noise: How a campaign of this kind states its noise.
         spare: Columns of joints that no row's path has.
     """
     std = [name for name in STD if name in table.cells]
     why = f"not known: it is estimated. If you know it, write {noise}"
     if std:
         why = f"{' '.join(std)} weigh the rows; if they flatter the instrument, write {{rows: ignore}}"
-    made.say("measurements.noise", None, why)
+    proposal.say("measurements.noise", None, why)
     free = [name for name in table.names if name and name not in used and name not in STD]
     for quantity, si_unit, spellings in COVARIATES:
         column = named(free, *spellings)
         if quantity == "time" and clock in free:
             free.remove(clock)
-            made.say_columns({quantity: clock}, "dates, in seconds")
+            proposal.say_columns({quantity: clock}, "dates, in seconds")
         elif column and _varies(table, column, quantity):
             free.remove(column)
-            counted = _unit_of_time(table, column) if quantity == "time" else si_unit
-            made.say_columns({quantity: column}, f"by its name, taken for {counted}")
-            if counted != si_unit:
-                made.add_units({column: counted}, f"{column} in {counted}")
+            time_unit = _unit_of_time(table, column) if quantity == "time" else si_unit
+            proposal.say_columns({quantity: column}, f"by its name, taken for {time_unit}")
+            if time_unit != si_unit:
+                proposal.add_units({column: time_unit}, f"{column} in {time_unit}")
     families = (*positions(free), *angle_triples(free), *quaternions(free), *numbered(free))
     in_families = {name for family in families for name in family.columns}
     reasons = {name: _no_covariate(table, name, in_families) for name in free}
@@ -83,24 +83,26 @@ def say_covariates(
     ignored = [name for name in reasons if reasons[name]]
     if ignored:
         why = ", ".join(f"{name} ({reasons[name]})" for name in ignored)
-        made.say("measurements.ignore", ignored, f"no covariates: {why}", sure=False)
-    kept = ", ".join(name for name in free if not reasons[name])
-    if kept:
-        made.say("covariates", None, f"effects may depend on {kept}; name under `ignore` what is none", sure=False)
+        proposal.say("measurements.ignore", ignored, f"no covariates: {why}", sure=False)
+    covariates = ", ".join(name for name in free if not reasons[name])
+    if covariates:
+        proposal.say(
+            "covariates", None, f"effects may depend on {covariates}; name under `ignore` what is none", sure=False
+        )
 
 
 def _varies(table: Table, column: str, quantity: str) -> bool:
     """True of a column with numbers; a clock that stands still is none."""
     numbers, _ = table.numbers(column)
-    known = numbers[np.isfinite(numbers)]
-    return len(known) > 0 and (quantity != "time" or float(np.ptp(known)) > 0)
+    finite = numbers[np.isfinite(numbers)]
+    return len(finite) > 0 and (quantity != "time" or float(np.ptp(finite)) > 0)
 
 
 def _unit_of_time(table: Table, column: str) -> str:
     """The unit that a clock counts: by its name, or by how large the seconds since 1970 are in it."""
-    said = unit(column) or ""
-    if said in TIMES:
-        return said
+    by_name = unit(column) or ""
+    if by_name in TIMES:
+        return by_name
     largest = float(np.nanmax(np.abs(table.numbers(column)[0])))
     return next((name for name, most in EPOCH.items() if largest < most), "ns")
 
@@ -115,7 +117,7 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
     """
     if name.endswith("_direction"):
         return ""
-    if set(words(name)) & SCATTER:
+    if set(words(name)) & SCATTER_WORDS:
         return "how well something was measured"
     if name == SAMPLES:
         return "how many samples a row is the mean of"
@@ -130,15 +132,15 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
     return "of another pose or chain" if name in in_families else ""
 
 
-def say_repeats(q: np.ndarray, reading: Reading, made: Proposal) -> None:
+def say_repeats(q: np.ndarray, reading: Reading, proposal: Proposal) -> None:
     """Say how many rows repeat a configuration.
 
     Args:
         q: Readings, shape (N, columns), in the table's units; NaN where there is none.
         reading: Says which units.
-        made: Told what was found.
+        proposal: Told what was found.
     """
-    kinds = made.robot.kinds
+    kinds = proposal.robot.kinds
     scale = [LENGTHS[reading.length] if kind == "prismatic" else ANGLES[reading.angle] for kind in kinds]
     whole = np.isfinite(q).all(axis=1)
     sizes = np.bincount(blocks((q * scale)[whole], kinds))
@@ -146,4 +148,4 @@ def say_repeats(q: np.ndarray, reading: Reading, made: Proposal) -> None:
     why = "no configuration is repeated: that would tell the noise by itself"
     if len(repeated):
         why = f"{repeated.sum()} rows repeat {len(repeated)} configurations: they tell the noise by itself"
-    made.say("repeats", None, why)
+    proposal.say("repeats", None, why)

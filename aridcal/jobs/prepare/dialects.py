@@ -12,7 +12,7 @@ from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.sniffing import as_keys, look
 from aridcal.files.tables import AnyTable, check_ending
 from aridcal.jobs.prepare.guesses import Asker, Guess, Proposal, nobody
-from aridcal.jobs.prepare.orientation_columns import CLEAR
+from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
 from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading import workbooks
@@ -20,7 +20,7 @@ from aridcal.system.reading.dialect import PLAIN, Dialect
 from aridcal.system.reading.regular_files import TABLE, read_file
 from aridcal.system.reading.user_names import check_path
 
-SAME = 1e-9
+SAME_FIT_SHARE = 1e-9
 """Two ways that put the targets as near to the robot, to this share, are one: digits in groups or not, metres or mm."""
 
 
@@ -39,29 +39,29 @@ def dialects_of(tables: Sequence[AnyTable], asker: Asker) -> tuple[list[Dialect]
         check_path(path, MeasurementError)
         if path.suffix.lower() not in robot_calibration.ENDINGS:
             check_ending(path)
-        found = look(read_file(path, MeasurementError, TABLE), path, TABLE, asker.pick)
-        maker = maker or found.maker
+        answer = look(read_file(path, MeasurementError, TABLE), path, TABLE, asker.pick)
+        maker = maker or answer.maker
         if possible is None:
-            possible, first = list(found.dialects), path
+            possible, first = list(answer.dialects), path
             continue
-        comment = tuple(sorted({*possible[0].comment, *found.dialects[0].comment}))
-        here = [replace(dialect, comment=comment) for dialect in found.dialects]
-        before = [replace(dialect, comment=comment) for dialect in possible]
-        possible = [dialect for dialect in before if dialect in here] or _told(before, here)
+        comment = tuple(sorted({*possible[0].comment, *answer.dialects[0].comment}))
+        of_file = [replace(dialect, comment=comment) for dialect in answer.dialects]
+        so_far = [replace(dialect, comment=comment) for dialect in possible]
+        possible = [dialect for dialect in so_far if dialect in of_file] or _with_marks(so_far, of_file)
         if not possible:
             raise MeasurementError(
-                f"{path}: is not written as {first} is ({_words(here[0])}; {_words(before[0])}); export both alike, or make "
+                f"{path}: is not written as {first} is ({_words(of_file[0])}; {_words(so_far[0])}); export both alike, or make "
                 "them two blocks of measurements"
             )
     return possible or [PLAIN], maker
 
 
-def _told(one: Sequence[Dialect], other: Sequence[Dialect]) -> list[Dialect]:
-    """What remains of the dialects of two files that differ only because the numbers of one have no marks."""
-    bare = [replace(dialect, decimal=".", thousands="") for dialect in (one[0], other[0])]
-    if bare[0] != bare[1]:
+def _with_marks(first: Sequence[Dialect], second: Sequence[Dialect]) -> list[Dialect]:
+    """The dialects of the one of two files whose numbers have marks, if they differ in nothing else; else none."""
+    unmarked = [replace(dialect, decimal=".", thousands="") for dialect in (first[0], second[0])]
+    if unmarked[0] != unmarked[1]:
         return []
-    marked = [dialects for dialects in (one, other) if dialects[0] != bare[0]]
+    marked = [dialects for dialects in (first, second) if dialects[0] != unmarked[0]]
     return list(marked[0]) if len(marked) == 1 else []
 
 
@@ -81,26 +81,26 @@ def best_dialect(
     if len(dialects) == 1:
         return dialects[0], ""
     alone = Asker(nobody, asker.settled)
-    judged: list[tuple[float, Dialect]] = []
-    failed: AridcalError | None = None
+    misfits: list[tuple[float, Dialect]] = []
+    failure: AridcalError | None = None
     for dialect in dialects:
         try:
             fit = proposed(dialect, alone).fit
         except AridcalError as problem:
-            failed = failed or problem
+            failure = failure or problem
         else:
-            judged.append((fit[1] if fit else 0.0, dialect))
-    if not judged:
-        raise failed or MeasurementError("no table can be read")
-    judged.sort(key=lambda one: one[0])
-    best = judged[0]
-    near = [one for one in judged if one[0] <= CLEAR * best[0]]
+            misfits.append((fit[1] if fit else 0.0, dialect))
+    if not misfits:
+        raise failure or MeasurementError("no table can be read")
+    misfits.sort(key=lambda one: one[0])
+    best = misfits[0]
+    near = [one for one in misfits if one[0] <= CLEAR_RATIO * best[0]]
     if len(near) == 1:
-        passed = f"; {_numbers(judged[1][1])} by {rounded(100 * judged[1][0])} %" if len(judged) > 1 else ""
+        comparison = f"; {_numbers(misfits[1][1])} by {rounded(100 * misfits[1][0])} %" if len(misfits) > 1 else ""
         return best[
             1
-        ], f"with {_numbers(best[1])} the nominal robot misses the targets by {rounded(100 * best[0])} %{passed}"
-    if all(abs(share - best[0]) <= SAME * max(best[0], SAME) for share, _ in near):
+        ], f"with {_numbers(best[1])} the nominal robot misses the targets by {rounded(100 * best[0])} %{comparison}"
+    if all(abs(share - best[0]) <= SAME_FIT_SHARE * max(best[0], SAME_FIT_SHARE) for share, _ in near):
         return best[1], f"{_numbers(best[1])}: read in groups, the same places would be in another unit"
     answers = [f"{_numbers(dialect)}, {rounded(100 * share)} % off" for share, dialect in near]
     k = asker.pick("table.decimal", "how are numbers written", answers, "these fit the nominal robot alike")
@@ -112,12 +112,12 @@ def _words(dialect: Dialect, workbook: bool = False) -> str:
     if dialect.export:
         return f"samples of {dialect.export}, sensor {dialect.sheet}"
     parted = {"\t": "tabs", ";": "semicolons", ",": "commas", "|": "bars", " ": "blanks"}[dialect.separator]
-    said = f"{dialect.encoding}, cells parted by {parted}"
+    cells = f"{dialect.encoding}, cells parted by {parted}"
     if workbook:
-        said = f"sheet {dialect.sheet}" if dialect.sheet else "a workbook of one sheet"
+        cells = f"sheet {dialect.sheet}" if dialect.sheet else "a workbook of one sheet"
     header = f"line{'s' if len(dialect.header) > 1 else ''} {', '.join(map(str, dialect.header))}"
     skipped = f", lines that begin with {' or '.join(dialect.comment)} are no rows" if dialect.comment else ""
-    return f"{said}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}{skipped}"
+    return f"{cells}, {_numbers(dialect)}, names in {header}, rows from line {dialect.begins}{skipped}"
 
 
 def _numbers(dialect: Dialect) -> str:
@@ -127,13 +127,13 @@ def _numbers(dialect: Dialect) -> str:
     return f"{sign} and thousands with {groups}" if groups else sign
 
 
-def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str, made: Proposal) -> None:
-    """Say how the tables are written, where they are no plain csv or a maker's."""
+def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str, proposal: Proposal) -> None:
+    """Say how the tables are written, unless they are plain csv."""
     keys = as_keys(dialect)
     workbook = any(
         not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.ENDINGS for one in tables
     )
     if keys or maker or workbook:
-        said = [f"an export of {maker}"] if maker else []
-        said += [_words(dialect, workbook), *([why] if why else [])]
-        made.guesses.insert(0, Guess("measurements.table", keys or None, "; ".join(said)))
+        parts = [f"an export of {maker}"] if maker else []
+        parts += [_words(dialect, workbook), *([why] if why else [])]
+        proposal.guesses.insert(0, Guess("measurements.table", keys or None, "; ".join(parts)))

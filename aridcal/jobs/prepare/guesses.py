@@ -23,8 +23,8 @@ class Guess:
     """One thing that a campaign says, and why.
 
     Attributes:
-        key: Where it stands in the campaign, ``measurements.units`` for instance; without a dot: a mere remark.
-        value: What stands there; None: nothing, the default holds.
+        key: Its place in the campaign, ``measurements.units`` for instance; without a dot: a mere remark.
+        value: Of the key; None: the key is not written, the default holds.
         why: The evidence.
         sure: False if a person should look at it.
     """
@@ -71,11 +71,11 @@ class Asker:
             Unanswered: nobody answered; naming the key and the choices.
             CampaignError: an answer that was given beforehand is none of these.
         """
-        given = self.settled.get(key)
-        if given is not None:
-            if not 1 <= given <= len(answers):
-                raise CampaignError(f"--set {key}={given}: should be from 1 to {len(answers)}: {_numbered(answers)}")
-            return given - 1
+        settled = self.settled.get(key)
+        if settled is not None:
+            if not 1 <= settled <= len(answers):
+                raise CampaignError(f"--set {key}={settled}: should be from 1 to {len(answers)}: {_numbered(answers)}")
+            return settled - 1
         answer = self.choose(question, answers, why)
         if answer is None:
             place = key if key.startswith(("robot.", "instruments.")) else f"measurements.{key}"
@@ -87,7 +87,7 @@ class Asker:
         return answer
 
     def check(self, asked: Sequence[str]) -> None:
-        """Refuse an answer to what is never asked.
+        """Refuse answers to questions that are never asked.
 
         Args:
             asked: Keys of all questions that there are.
@@ -106,7 +106,7 @@ def _numbered(answers: Sequence[str]) -> str:
 
 @dataclass
 class Proposal:
-    """What was found in a URDF and a table, in the order in which it was found.
+    """A proposed campaign: guesses from a URDF and a table, in the order in which they were made.
 
     Attributes:
         robot: The chain whose joints have columns.

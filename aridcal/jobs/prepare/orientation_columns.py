@@ -12,9 +12,9 @@ from aridcal.files.quantities import SAME_ORIENTATION, STD
 from aridcal.files.tables import Table
 from aridcal.files.yaml_file import LARGEST
 from aridcal.jobs.prepare.column_names import (
-    COMMANDED,
-    MEASURED,
-    TURNED,
+    COMMANDED_WORDS,
+    MEASURED_WORDS,
+    ORIENTATION_WORDS,
     Family,
     angle_triples,
     matrices,
@@ -33,13 +33,13 @@ from aridcal.jobs.prepare.units_and_angles import (
 from aridcal.system.errors import MeasurementError
 
 # A way to read the table that fits so many times better than the next needs no question.
-CLEAR = 3.0
+CLEAR_RATIO = 3.0
 # No nominal robot misses orientations by so much, [rad].
 STRANGE_ANGLE = 0.2
 # How far from 1 the norms of a quaternion's columns may be.
 UNIT_SLACK = 0.05
 # Some programs write four zeros where they know no orientation.
-NO_ROTATION = 0.5
+LEAST_NORM = 0.5
 # Answers that a question offers.
 MOST_ANSWERS = 4
 
@@ -54,14 +54,14 @@ class _Columns:
 
     @property
     def says(self) -> tuple[bool, bool]:
-        """Whether their names speak of what was asked for, and of what was measured."""
-        return bool(self.about & COMMANDED), bool(self.about & MEASURED)
+        """Whether the names are of something commanded, and of something measured."""
+        return bool(self.about & COMMANDED_WORDS), bool(self.about & MEASURED_WORDS)
 
 
 def say_orientation(
-    table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading, asker: Asker, made: Proposal
+    table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading, asker: Asker, proposal: Proposal
 ) -> set[str]:
-    """Keep the writing of orientations that the nominal robot agrees with.
+    """Say which columns are the orientation, and how it is written: as the nominal robot agrees with it.
 
     Args:
         table: N rows.
@@ -70,7 +70,7 @@ def say_orientation(
         rows: Those to judge by.
         reading: The way to read joints and positions.
         asker: Asked where two ways fit alike.
-        made: Told what was found.
+        proposal: Told what was found.
 
     Returns:
         The columns of the orientation; none where there are only positions.
@@ -79,54 +79,56 @@ def say_orientation(
         MeasurementError: there are two orientations that disagree.
         AridcalError: two ways fit alike, and nobody says which is meant.
     """
-    found = sorted(_candidates(table, used, place, rows, reading), key=lambda one: (*_order(one), _unlike(one, place)))
-    if not found:
-        made.say("measurements.kind", "position", "no columns of an orientation", sure=False)
+    candidates = sorted(
+        _candidates(table, used, place, rows, reading), key=lambda one: (*_order(one), _unlike(one, place))
+    )
+    if not candidates:
+        proposal.say("measurements.kind", "position", "no columns of an orientation", sure=False)
         return set()
-    own = found[0]
-    ways = different(own.ways)
+    best_columns = candidates[0]
+    ways = different(best_columns.ways)
     best = ways[0]
-    if len(ways) > 1 and ways[1].misfit <= CLEAR * best.misfit:
-        near = [way for way in ways if way.misfit <= CLEAR * best.misfit][:MOST_ANSWERS]
-        said = [f"{way.what}, {rounded(1e3 * way.misfit)} mrad off" for way in near]
-        why = f"in {' '.join(own.columns)} these fit the nominal robot alike"
-        best = near[asker.pick("orientation", "how are orientations written", said, why)]
-    _refuse_second(table, rows, own, best, found[1:])
+    if len(ways) > 1 and ways[1].misfit <= CLEAR_RATIO * best.misfit:
+        near = [way for way in ways if way.misfit <= CLEAR_RATIO * best.misfit][:MOST_ANSWERS]
+        answers = [f"{way.what}, {rounded(1e3 * way.misfit)} mrad off" for way in near]
+        why = f"in {' '.join(best_columns.columns)} these fit the nominal robot alike"
+        best = near[asker.pick("orientation", "how are orientations written", answers, why)]
+    _refuse_second(table, rows, best_columns, best, candidates[1:])
     why = f"{best.what} misses the nominal robot's orientations by {rounded(1e3 * best.misfit)} mrad"
     for other in [way for way in ways if way is not best][:1]:
         why += f"; {other.what} by {rounded(1e3 * other.misfit)}"
-    likely = best.misfit <= STRANGE_ANGLE
-    if not likely:
+    plausible = best.misfit <= STRANGE_ANGLE
+    if not plausible:
         why += ". That is MUCH: check their order, and that they turn the target into the world and not back"
-    made.say("measurements.kind", "pose", "positions and orientations")
+    proposal.say("measurements.kind", "pose", "positions and orientations")
     for key, value in best.keys.items():
-        made.say(key, value, why, sure=likely)
+        proposal.say(key, value, why, sure=plausible)
     if best.angle not in (None, reading.angle):
         std = [name for name in STD[3:] if name in table.cells]
-        made.add_units(
-            dict.fromkeys((*own.columns, *std), best.angle or ""), "orientations in another unit than joints"
+        proposal.add_units(
+            dict.fromkeys((*best_columns.columns, *std), best.angle or ""), "orientations in another unit than joints"
         )
-    return set(own.columns)
+    return set(best_columns.columns)
 
 
 def _order(one: _Columns) -> tuple[bool, bool]:
-    """Sorts what was measured before what was not said to be, and what was commanded last."""
+    """Sort key: measured columns first, then those that say nothing, commanded ones last."""
     commanded, measured = one.says
     return commanded, not measured
 
 
 def _unlike(one: _Columns, place: Family) -> int:
-    """How many words the names of an orientation and of a position do not share."""
-    return len((one.about - TURNED) ^ (place.about - {"position", "pos", "translation", "t", "p"}))
+    """Number of words that the names of an orientation and of a position do not share."""
+    return len((one.about - ORIENTATION_WORDS) ^ (place.about - {"position", "pos", "translation", "t", "p"}))
 
 
-def _refuse_second(table: Table, rows: np.ndarray, own: _Columns, best: Writing, others: Sequence[_Columns]) -> None:
-    """Refuse a second orientation that nothing says was commanded, and that is another than the first.
+def _refuse_second(table: Table, rows: np.ndarray, first: _Columns, best: Writing, others: Sequence[_Columns]) -> None:
+    """Refuse a second orientation whose names do not say `commanded` and which differs from the first.
 
     Args:
         table: N rows.
         rows: Those to judge by.
-        own: The first one's columns.
+        first: The first one's columns.
         best: How it is written.
         others: Further columns that may be orientations.
 
@@ -134,15 +136,15 @@ def _refuse_second(table: Table, rows: np.ndarray, own: _Columns, best: Writing,
         MeasurementError: naming a row and both.
     """
     for other in others:
-        if set(other.columns) & set(own.columns) or other.says != own.says or other.ways[0].misfit > STRANGE_ANGLE:
+        if set(other.columns) & set(first.columns) or other.says != first.says or other.ways[0].misfit > STRANGE_ANGLE:
             continue
-        whole = np.isfinite(table.matrix((*own.columns, *other.columns))[rows]).all(axis=1)
-        apart = [np.where(whole, (way.rotation * best.rotation.inv()).magnitude(), 0.0) for way in other.ways]
-        nearest = min(apart, key=np.max)
+        whole = np.isfinite(table.matrix((*first.columns, *other.columns))[rows]).all(axis=1)
+        angles = [np.where(whole, (way.rotation * best.rotation.inv()).magnitude(), 0.0) for way in other.ways]
+        nearest = min(angles, key=np.max)
         worst = int(np.argmax(nearest))
         if nearest[worst] > SAME_ORIENTATION:
             raise MeasurementError(
-                f"{table.title}, line {table.line[rows[worst]]}: {' '.join(own.columns)} and {' '.join(other.columns)} "
+                f"{table.title}, line {table.line[rows[worst]]}: {' '.join(first.columns)} and {' '.join(other.columns)} "
                 f"are two orientations, {np.degrees(nearest[worst]):.3g} degrees apart. Delete the one that was not "
                 "measured, or call its columns commanded"
             )
@@ -151,7 +153,7 @@ def _refuse_second(table: Table, rows: np.ndarray, own: _Columns, best: Writing,
 def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading) -> list[_Columns]:
     """Columns that may be an orientation, those of four numbers first."""
     free = [name for name in table.names if name and name not in used]
-    found, in_matrices = [], set()
+    candidates, in_matrices = [], set()
     for matrix in matrices(name for name in table.names if name in free or name in place.columns):
         names = sorted({name for way in matrix.rotation for name in way}, key=table.names.index)
         if not set(names) <= set(free):
@@ -161,23 +163,23 @@ def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, r
             ways = matrix_writings(matrix, values, reading)
             if ways:
                 in_matrices |= set(names)
-                found.append(_Columns(matrix.rotation[0], matrix.about, ways))
+                candidates.append(_Columns(matrix.rotation[0], matrix.about, ways))
     free = [name for name in free if name not in in_matrices]
     for family in (*quaternions(free), *angle_triples(free)):
         values_of = sensible(table, family.columns)[rows]
-        named = set(family.columns) == set(QUATERNION) and np.isfinite(table.matrix(family.columns)).any()
+        is_quaternion = set(family.columns) == set(QUATERNION) and np.isfinite(table.matrix(family.columns)).any()
         norm = np.linalg.norm(values_of, axis=1)
         if len(family.columns) == 4 and np.isfinite(norm).any() and abs(float(np.nanmedian(norm)) - 1) <= UNIT_SLACK:
-            values_of[norm < NO_ROTATION] = np.nan
-            found.append(_Columns(family.columns, family.about, quaternion_writings(family, values_of, reading)))
+            values_of[norm < LEAST_NORM] = np.nan
+            candidates.append(_Columns(family.columns, family.about, quaternion_writings(family, values_of, reading)))
         elif len(family.columns) == 3 and np.isfinite(norm).any():
-            found.append(_Columns(family.columns, family.about, angle_writings(family, values_of, reading)))
-        elif named:
+            candidates.append(_Columns(family.columns, family.about, angle_writings(family, values_of, reading)))
+        elif is_quaternion:
             raise MeasurementError(
                 f"{table.title}: {' '.join(family.columns)} hold no quaternions of norm 1: mend them, or delete these columns if "
                 "no orientation was measured"
             )
-    return found
+    return candidates
 
 
 def sensible(table: Table, columns: Sequence[str]) -> np.ndarray:

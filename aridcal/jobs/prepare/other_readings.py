@@ -34,21 +34,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 # Rows on which readings are tried, and that judge a proposal; more make no clearer verdict.
-SAMPLE = 150
+SAMPLE_ROWS = 150
 # What frames and constants, or frames alone, leave of most robots: a share of the targets' spread, and rad, per axis.
 # More costs a second to look for other readings; it is no reason to refuse.
 USUAL, USUAL_NOMINAL = 0.005, 0.05
 # Another reading is taken for what was meant if it leaves so many times less.
-FAR_LESS = 5.0
+CLEARLY_LESS = 5.0
 # Readings that fit the nominal robot best, whose constants are fitted too.
-FITTED = 4
+READINGS_FITTED = 4
 # Another zero, or that and another sign, is believed where it leaves so many times less than what is more usual: axes that meet
 # and frames make one look like the other (half a turn before the last axis is its other sign).
-RARER = 1.2
+DOUBT_OF_RARER = 1.2
 # Units whose letters would not be read as one.
-SPELT = {"in": "inches", "deg": "degrees", "rad": "radians"}
+UNITS_IN_WORDS = {"in": "inches", "deg": "degrees", "rad": "radians"}
 # Orders in which Euler angles may turn, fixed or with the body.
-SEQUENCES = tuple(
+EULER_SEQUENCES = tuple(
     word
     for letters in itertools.product("xyz", repeat=3)
     if letters[0] != letters[1] != letters[2]
@@ -73,7 +73,7 @@ class Other:
         remedy: What to write, or to change in the file.
         settings: The campaign's, as they would be.
         table: The rows, as they would be.
-        doubt: What is left counts as so many times more: of what is rarer.
+        doubt: Factor on what this reading leaves: above 1 for slips that are rarer.
     """
 
     what: str
@@ -85,7 +85,7 @@ class Other:
 
 @dataclass(frozen=True)
 class Left:
-    """What a reading leaves, per axis.
+    """What frames, or frames and constants, leave of a reading, per axis.
 
     Attributes:
         sigma: Robust sigma of the position and perhaps of the rotation, shape (1,) or (2,), [m] and [rad].
@@ -112,7 +112,7 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
         campaign: As it is.
         robot: The nominal chain.
         rows: The measurements as the campaign reads them; only training rows are looked at.
-        geometry: What frames and constants made of them; None: not a thing.
+        geometry: The fit of frames and constants; None: it failed.
 
     Raises:
         NotOfThisRobot: naming the reading that fits, and the remedy.
@@ -122,47 +122,47 @@ def refuse_misread(campaign: Campaign, robot: Robot, rows: Dataset, geometry: Ge
     train = rows.fitted
     labels = station_labels(campaign.question, rows)
     if geometry is not None:
-        left = [
-            Left(robust_sigma(unscaled(found.residual, train.relative), train.channels), _spread(train))
-            for found in (geometry.nominal, geometry.geometric)
+        remainders = [
+            Left(robust_sigma(unscaled(better.residual, train.relative), train.channels), _spread(train))
+            for better in (geometry.nominal, geometry.geometric)
         ]
-        if left[0].share < USUAL_NOMINAL and left[1].share < USUAL:
+        if remainders[0].share < USUAL_NOMINAL and remainders[1].share < USUAL:
             return
     table = _sample(campaign, train)
-    own = _tried(campaign, robot, campaign.measurements, table, labels)
-    if own is None:
+    campaign_fit = _fit_of_campaign(campaign, robot, campaign.measurements, table, labels)
+    if campaign_fit is None:
         return
-    judged = []
-    for other in _others(campaign.measurements, robot, table):
+    tries = []
+    for other in _other_ways(campaign.measurements, robot, table):
         nominal = _nominal(campaign, robot, other.settings, other.table, labels)
         if nominal is not None:
-            judged.append((nominal, other))
-    judged.sort(key=lambda pair: pair[0].share * pair[1].doubt)
-    found = []
-    for nominal, other in judged[:FITTED]:
+            tries.append((nominal, other))
+    tries.sort(key=lambda pair: pair[0].share * pair[1].doubt)
+    better = []
+    for nominal, other in tries[:READINGS_FITTED]:
         geometric = _geometric(campaign, robot, other.settings, other.table, labels)
-        if geometric is not None and _far_less((nominal, geometric), own):
-            found.append((geometric.share * nominal.share * other.doubt, nominal, geometric, other))
-    if found:
-        _, nominal, geometric, other = min(found, key=lambda entry: entry[0])
-        whose, before, after = "calibrated", own[1], geometric
-        if before is None or before.share < FAR_LESS * geometric.share:
-            whose, before, after = "nominal", own[0], nominal
+        if geometric is not None and _far_less((nominal, geometric), campaign_fit):
+            better.append((geometric.share * nominal.share * other.doubt, nominal, geometric, other))
+    if better:
+        _, nominal, geometric, other = min(better, key=lambda entry: entry[0])
+        whose, before, after = "calibrated", campaign_fit[1], geometric
+        if before is None or before.share < CLEARLY_LESS * geometric.share:
+            whose, before, after = "nominal", campaign_fit[0], nominal
         raise NotOfThisRobot(
             f"{rows.title}: read as the campaign says, these measurements are {before} per axis off the {whose} robot. "
             f"Read as {other.what} they would be {after} off. {other.remedy}"
         )
 
 
-def _far_less(other: tuple[Left, Left], own: tuple[Left, Left | None]) -> bool:
-    """True if a reading leaves far less than the campaign's own, of one stage, and not more of the other.
+def _far_less(fit: tuple[Left, Left], campaign_fit: tuple[Left, Left | None]) -> bool:
+    """True if a reading leaves far less than the campaign's own in one stage, and not much more in the other.
 
     Constants alone are no judge: they may stretch an arm to another unit of length, or turn an axis round.
     """
-    nominal, geometric = (each.share for each in other)
-    before = own[0].share, (own[1] or own[0]).share
-    by_constants = FAR_LESS * geometric < before[1] and nominal < before[0]
-    by_frames = FAR_LESS * nominal < before[0] and geometric < 2 * before[1]
+    nominal, geometric = (each.share for each in fit)
+    before = campaign_fit[0].share, (campaign_fit[1] or campaign_fit[0]).share
+    by_constants = CLEARLY_LESS * geometric < before[1] and nominal < before[0]
+    by_frames = CLEARLY_LESS * nominal < before[0] and geometric < 2 * before[1]
     return by_constants or by_frames
 
 
@@ -175,8 +175,8 @@ def _sample(campaign: Campaign, train: Dataset) -> pd.DataFrame:
     rows = np.array(
         [number[place] for place in zip(train.origin.file.tolist(), train.origin.line.tolist(), strict=True)]
     )
-    drawn = np.random.default_rng(0).permutation(rows)[:SAMPLE]
-    frame = table.frame().iloc[np.sort(drawn)].reset_index(drop=True)
+    chosen = np.random.default_rng(0).permutation(rows)[:SAMPLE_ROWS]
+    frame = table.frame().iloc[np.sort(chosen)].reset_index(drop=True)
     split = campaign.measurements.columns.get("split", "split")
     return frame.assign(**{split: "train"})
 
@@ -208,16 +208,16 @@ def _geometric(
     """What frames and constants leave of a reading; None: it cannot be read so."""
     try:
         changed, rows = _rows(campaign, robot, settings, table)
-        found = fit_geometry(changed.question, robot, rows, labels).geometric
-        return Left(robust_sigma(unscaled(found.residual, rows.relative), rows.channels), _spread(rows))
+        fit = fit_geometry(changed.question, robot, rows, labels).geometric
+        return Left(robust_sigma(unscaled(fit.residual, rows.relative), rows.channels), _spread(rows))
     except (AridcalError, ValueError, np.linalg.LinAlgError):
         return None
 
 
-def _tried(
+def _fit_of_campaign(
     campaign: Campaign, robot: Robot, settings: MeasurementSettings, table: pd.DataFrame, labels: tuple[str, ...]
 ) -> tuple[Left, Left | None] | None:
-    """Both stages of the campaign's own reading; the constants' None where they make nothing of it."""
+    """Both stages of the campaign's own reading, the second None where constants cannot be fitted; None: neither can."""
     nominal = _nominal(campaign, robot, settings, table, labels)
     return None if nominal is None else (nominal, _geometric(campaign, robot, settings, table, labels))
 
@@ -228,8 +228,8 @@ def _spread(rows: Dataset) -> float:
     return float(np.sqrt(np.mean(np.sum(centred**2, axis=1))))
 
 
-def _others(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
-    """Every reading that one slip would hide."""
+def _other_ways(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
+    """Every other reading that differs from the campaign's by one slip."""
     if settings.traits.oriented:
         yield from _orientations(settings, robot, table)
     yield from _units(settings, robot, table)
@@ -246,16 +246,16 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             yield Other(what, _write(f"columns: {_braces(mapped)}"), _with(settings, columns=mapped), table)
     if angles is not None:
         names = list(angles)
-        for word in SEQUENCES:
+        for word in EULER_SEQUENCES:
             if word != settings.orientation.euler:
                 spec = {"euler": word, "columns": tuple(names), "rotvec": None}
-                said = f"orientation: {{euler: {word}, columns: [{', '.join(names)}]}}"
-                yield Other(f"Euler angles {word}", _write(said), _oriented(settings, spec), table)
+                key = f"orientation: {{euler: {word}, columns: [{', '.join(names)}]}}"
+                yield Other(f"Euler angles {word}", _write(key), _oriented(settings, spec), table)
         if settings.orientation.rotvec is None:
             spec = {"euler": None, "columns": None, "rotvec": tuple(names)}
-            said = f"orientation: {{rotvec: [{', '.join(names)}]}}"
-            yield Other("rotation vectors", _write(said), _oriented(settings, spec), table)
-    stated = {column_of(name, settings, robot.readings) for name in STD} & set(table)
+            key = f"orientation: {{rotvec: [{', '.join(names)}]}}"
+            yield Other("rotation vectors", _write(key), _oriented(settings, spec), table)
+    std_columns = {column_of(name, settings, robot.readings) for name in STD} & set(table)
     for what, inverted in TURNED_BACK.items():
         if inverted != settings.inverted:
             noise = settings.noise.model_copy(
@@ -265,7 +265,7 @@ def _orientations(settings: MeasurementSettings, robot: Robot, table: pd.DataFra
             remedy = _write(f"inverted: {inverted}") if inverted else "Delete `inverted` under measurements"
             if inverted == "pose" and robot.climbs:
                 remedy += ", or exchange `robot.base` and `robot.tip`"
-            if inverted and settings.noise.rows != "ignore" and stated:
+            if inverted and settings.noise.rows != "ignore" and std_columns:
                 remedy += " and `noise: {rows: ignore}`"
             yield Other(what, remedy, changed, table)
 
@@ -276,27 +276,33 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
         if unit != settings.units.length:
             units = settings.units.model_copy(update={"length": unit})
             changed = settings.model_copy(update={"units": units})
-            yield Other(f"lengths in {SPELT.get(unit, unit)}", _write(f"units: {{length: {unit}}}"), changed, table)
+            yield Other(
+                f"lengths in {UNITS_IN_WORDS.get(unit, unit)}", _write(f"units: {{length: {unit}}}"), changed, table
+            )
             if "prismatic" in robot.kinds:
                 place = [column_of(name, settings, robot.readings) for name in POSITION]
-                yield _columns_in(f"positions in {SPELT.get(unit, unit)}", dict.fromkeys(place, unit), settings, table)
+                yield _columns_in(
+                    f"positions in {UNITS_IN_WORDS.get(unit, unit)}", dict.fromkeys(place, unit), settings, table
+                )
     unit = _other_angle(settings)
     changed = settings.model_copy(update={"units": settings.units.model_copy(update={"angle": unit})})
-    yield Other(f"angles in {SPELT[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
+    yield Other(f"angles in {UNITS_IN_WORDS[unit]}", _write(f"units: {{angle: {unit}}}"), changed, table)
 
 
 def _joints(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> Iterator[Other]:
     """One joint with the other sign, another zero or in another unit, and two exchanged."""
     columns = {name: settings.columns.get(name, name) for name in robot.readings}
     for (joint, column), kind in zip(columns.items(), robot.kinds, strict=True):
-        yield _counted(f"{joint} with the other sign", joint, -1, 0, settings, table)
+        yield _with_count(f"{joint} with the other sign", joint, -1, 0, settings, table)
         if kind != "prismatic":
             yield from _zeros(settings, joint, table)
-        usual, tried = (settings.units.length, TRIED_LENGTHS) if kind == "prismatic" else (settings.units.angle, ANGLES)
-        now = settings.units.columns.get(column, usual)
-        for other in tried:
-            if other != now:
-                yield _columns_in(f"{joint} in {SPELT.get(other, other)}", {column: other}, settings, table)
+        default, units = (
+            (settings.units.length, TRIED_LENGTHS) if kind == "prismatic" else (settings.units.angle, ANGLES)
+        )
+        current = settings.units.columns.get(column, default)
+        for other in units:
+            if other != current:
+                yield _columns_in(f"{joint} in {UNITS_IN_WORDS.get(other, other)}", {column: other}, settings, table)
     for one, two in itertools.combinations(columns, 2):
         mapped = {one: columns[two], two: columns[one]}
         remedy = _write(f"columns: {_braces(mapped)}")
@@ -308,30 +314,35 @@ def _zeros(settings: MeasurementSettings, joint: str, table: pd.DataFrame) -> It
     for sign, how in ((1, ""), (-1, " and the other sign")):
         for turns in (1, -1, 2):
             what = f"{joint} with another zero ({90 * turns:+d} degrees){how}"
-            yield _counted(what, joint, sign, turns, settings, table, RARER if sign > 0 else RARER**2)
+            yield _with_count(
+                what, joint, sign, turns, settings, table, DOUBT_OF_RARER if sign > 0 else DOUBT_OF_RARER**2
+            )
 
 
-def _counted(
+def _with_count(
     what: str, joint: str, sign: int, turns: int, settings: MeasurementSettings, table: pd.DataFrame, doubt: float = 1.0
 ) -> Other:
-    """A joint whose reading is ``sign`` times what the campaign makes of it, and so many quarters of a turn more."""
+    """A joint whose reading is ``sign`` times the campaign's plus ``turns`` quarters of a turn."""
     before = settings.joints.get(joint, JointColumn())
-    now = sign * before.sign
+    new_sign = sign * before.sign
     zero = before.zero
     if turns:
-        degrees = 180.0 - (180.0 - math.degrees(before.shown_at_zero) + 90.0 * turns * now) % 360.0
+        degrees = 180.0 - (180.0 - math.degrees(before.shown_at_zero) + 90.0 * turns * new_sign) % 360.0
         zero = f"{degrees:.9g}deg" if degrees else None
-    counts = JointColumn.model_construct(sign=now, zero=zero)
-    said = {**({"zero": zero} if zero else {}), **({"sign": str(now)} if now < 0 or not zero else {})}
+    counts = JointColumn.model_construct(sign=new_sign, zero=zero)
+    keys = {**({"zero": zero} if zero else {}), **({"sign": str(new_sign)} if new_sign < 0 or not zero else {})}
     changed = settings.model_copy(update={"joints": {**settings.joints, joint: counts}})
-    return Other(what, _write(f"joints: {{{joint}: {_braces(said)}}}"), changed, table, doubt)
+    return Other(what, _write(f"joints: {{{joint}: {_braces(keys)}}}"), changed, table, doubt)
 
 
 def _columns_in(what: str, units: dict[str, str], settings: MeasurementSettings, table: pd.DataFrame) -> Other:
     """Single columns in another unit."""
-    own = settings.units.model_copy(update={"columns": {**settings.units.columns, **units}})
+    units_changed = settings.units.model_copy(update={"columns": {**settings.units.columns, **units}})
     return Other(
-        what, _write(f"units: {{columns: {_braces(units)}}}"), settings.model_copy(update={"units": own}), table
+        what,
+        _write(f"units: {{columns: {_braces(units)}}}"),
+        settings.model_copy(update={"units": units_changed}),
+        table,
     )
 
 

@@ -30,21 +30,21 @@ from aridcal.jobs.prepare.column_names import Family, MatrixColumns
 # Units of length that tables of robots are in; the others are to be stated.
 TRIED_LENGTHS = ("m", "mm", "cm", "in")
 # Times that the targets' cloud may be larger or smaller than the tips': a target far out on a tool does not more.
-MOST_APART = 6.0
+MOST_SIZE_RATIO = 6.0
 # Units whose clouds differ by no more than this factor from the best are tried too.
-ALIKE = 1.5
+SIMILAR_SIZE_RATIO = 1.5
 # Keeps clouds that are one point from dividing by zero, [m].
-TINY = 1e-9
+LEAST_SPREAD = 1e-9
 # Euler angles whose columns name their axes.
 AXIS_SEQUENCES = ("xyz", "XYZ", "XZY", "YXZ", "YZX", "ZXY")
 # Euler angles in columns such as A B C. Fixed xyz is turning ZYX with the columns reversed.
 PLAIN_SEQUENCES = ("ZYX", "xyz", "XYZ", "ZYZ", "ZXZ", "zyx", "XZY", "YXZ", "YZX", "ZXY", "XYX", "XZX", "YXY", "YZY")
 # Share of rows whose matrices are rotations, if they are meant to be.
-MOSTLY = 0.8
+LEAST_ROTATION_SHARE = 0.8
 # Ways that the next is compared with.
-SHOWN_WAYS = 4
+WAYS_COMPARED = 4
 # Rotations that are closer in every row are the same, [rad]: rounding of what was computed, not of what was written.
-SAME = 1e-9
+SAME_ROTATION = 1e-9
 
 
 def rounded(value: float) -> str:
@@ -79,9 +79,9 @@ class Reading:
         travel: Unit of the joints that slide.
         per: The frame that each station has to itself; None: all share both.
         metres: Median distance of the targets from where the nominal robot has them, [m].
-        share: The same as a share of the targets' spread.
+        share: This distance as a share of the targets' spread.
         world: Rotation of each row's T_world_base, shape (N, 3, 3).
-        tip: Rotation of T_base_tip, likewise.
+        tip: Rotation of each row's T_base_tip, shape (N, 3, 3).
     """
 
     angle: str
@@ -101,9 +101,9 @@ class Writing:
     Attributes:
         misfit: Median angle from the nominal robot's orientations, [rad].
         what: In words.
-        keys: What a campaign says of it; None: the default.
+        keys: Keys of a campaign that say so; None: the default.
         rotation: Of each row.
-        angle: Unit of its angles; None: it has none.
+        angle: Unit of the angles; None: there are none.
     """
 
     misfit: float
@@ -118,29 +118,29 @@ def readings(sample: Sample, robot: Robot) -> list[Reading]:
     frames = (None, "world_base", "tip_target") if sample.station.any() else (None,)
     units = _combinations(sample)
     sizes = [_size_ratio(sample, robot, *one) for one in units]
-    allowed = max(MOST_APART, ALIKE * min(sizes))
+    allowed = max(MOST_SIZE_RATIO, SIMILAR_SIZE_RATIO * min(sizes))
     possible = [one for one, size in zip(units, sizes, strict=True) if size < allowed]
-    tried = [_read(sample, robot, *one, per) for per in frames for one in possible]
-    return sorted(tried, key=lambda reading: reading.share)
+    ways = [_read(sample, robot, *one, per) for per in frames for one in possible]
+    return sorted(ways, key=lambda reading: reading.share)
 
 
-def one_slip_away(sample: Sample, robot: Robot, tried: Sequence[Reading]) -> Reading:
+def one_slip_away(sample: Sample, robot: Robot, ways: Sequence[Reading]) -> Reading:
     """The best fit of some ways to read the columns, if one joint counts backwards or from another quarter of a turn.
 
     Args:
         sample: Rows to judge by.
         robot: The chain.
-        tried: What else is known of each way: its units and frames.
+        ways: What else is known of each way: its units and frames.
     """
-    found = []
-    for way, (k, turns) in itertools.product(tried, enumerate(sample.turning.tolist())):
+    slips = []
+    for way, (k, turns) in itertools.product(ways, enumerate(sample.turning.tolist())):
         quarter = 0.5 * np.pi / ANGLES[way.angle]
         for sign, quarters in itertools.product((1, -1), (0, 1, -1, 2) if turns else (0,)):
             if (sign, quarters) != (1, 0):
                 q = sample.q.copy()
                 q[:, k] = sign * q[:, k] + quarters * quarter
-                found.append(_read(replace(sample, q=q), robot, way.angle, way.length, way.travel, way.per))
-    return min(found, key=lambda reading: reading.share)
+                slips.append(_read(replace(sample, q=q), robot, way.angle, way.length, way.travel, way.per))
+    return min(slips, key=lambda reading: reading.share)
 
 
 def _combinations(sample: Sample) -> list[tuple[str, str, str]]:
@@ -157,7 +157,7 @@ def _size_ratio(sample: Sample, robot: Robot, angle: str, length: str, travel: s
     """How many times larger or smaller the measured cloud is than the cloud of the nominal robot's tips, at least 1."""
     _, tips = tip_frames(robot, _si_readings(sample, angle, travel))
     measured = _spread(sample.position) * LENGTHS[length]
-    ratio = (measured + TINY) / (_spread(tips) + TINY)
+    ratio = (measured + LEAST_SPREAD) / (_spread(tips) + LEAST_SPREAD)
     return max(ratio, 1 / ratio)
 
 
@@ -174,24 +174,24 @@ def _spread(points: np.ndarray) -> float:
 
 
 def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
-    """Scalar last, or first as well where the columns are only numbered; values of shape (N, 4), best fit first."""
+    """Writings as quaternions, scalar last, or first as well where columns are numbered; values (N, 4), best fit first."""
     orders = {"quaternion x y z w": (0, 1, 2, 3)}
     if family.numbers:
         orders["quaternion w x y z"] = (1, 2, 3, 0)
-    found = []
+    writings = []
     for what, order in orders.items():
         columns = tuple(family.columns[k] for k in order)
         keys: dict[str, Any] = {"measurements.orientation": None}
         if columns != QUATERNION:
             keys = {f"measurements.columns.{q}": column for q, column in zip(QUATERNION, columns, strict=True)}
         rotation = Rotation.from_quat(_whole(values)[:, order])
-        found.append(Writing(_misfit(rotation, values, reading), what, keys, rotation))
-    return sorted(found, key=lambda writing: writing.misfit)
+        writings.append(Writing(_misfit(rotation, values, reading), what, keys, rotation))
+    return sorted(writings, key=lambda writing: writing.misfit)
 
 
 def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
-    """As a rotation vector and as Euler angles, in both units; values of shape (N, 3), best fit first."""
-    found = []
+    """Writings as rotation vectors and Euler angles, in both units; values (N, 3), best fit first."""
+    writings = []
     largest = np.nanmax(np.abs(values))
     for unit, radians in ANGLES.items():
         if unit == "rad" and largest > TURNS:
@@ -201,7 +201,7 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
         rotation = Rotation.from_rotvec(angles)
         misfit = _misfit(rotation, values, reading)
         what = f"a rotation vector in {unit}"
-        found.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
+        writings.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
         for sequence, order in _sequences(family):
             columns = [family.columns[k] for k in order]
             orientation = {"euler": sequence, "columns": columns}
@@ -209,35 +209,38 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
             misfit = _misfit(rotation, values, reading)
             axes = "turning" if sequence.isupper() else "fixed"
             what = f"Euler angles {sequence} ({axes} axes, {' '.join(columns)}) in {unit}"
-            found.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
-    return sorted(found, key=lambda writing: writing.misfit)
+            writings.append(Writing(misfit, what, {"measurements.orientation": orientation}, rotation, unit))
+    return sorted(writings, key=lambda writing: writing.misfit)
 
 
 def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: Reading) -> list[Writing]:
-    """As a matrix row by row, or column by column where its columns are counted through; values of shape (N,) each."""
-    found = []
+    """Writings as a matrix row by row, or by column where cells are counted through; values (N,) each, best fit first."""
+    writings = []
     for names in columns.rotation:
         cells = np.column_stack([values[name] for name in names])
         R = _whole(cells).reshape(-1, 3, 3)
-        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-        good = (off < MATRIX_SLACK) & (np.linalg.det(R) > 0)
-        if good.mean() < MOSTLY:
+        deviation = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        rotations = (deviation < MATRIX_SLACK) & (np.linalg.det(R) > 0)
+        if rotations.mean() < LEAST_ROTATION_SHARE:
             continue
-        rotation = Rotation.from_matrix(np.where(good[:, None, None], R, R[np.argmax(good)]))
-        cells = np.where(good[:, None], cells, np.nan)
+        rotation = Rotation.from_matrix(np.where(rotations[:, None, None], R, R[np.argmax(rotations)]))
+        cells = np.where(rotations[:, None], cells, np.nan)
         what = f"a rotation matrix ({names[0]} {names[1]} {names[2]} its first row)"
         keys: dict[str, Any] = {"measurements.orientation": {"matrix": list(names)}}
-        found.append(Writing(_misfit(rotation, cells, reading), what, keys, rotation))
-    return sorted(found, key=lambda writing: writing.misfit)
+        writings.append(Writing(_misfit(rotation, cells, reading), what, keys, rotation))
+    return sorted(writings, key=lambda writing: writing.misfit)
 
 
 def different(ways: Sequence[Writing]) -> list[Writing]:
-    """Ways whose rotations differ from those of every way before."""
-    kept: list[Writing] = []
+    """Writings whose rotations differ from those of every writing before."""
+    distinct: list[Writing] = []
     for way in ways:
-        if not any(np.max((way.rotation * other.rotation.inv()).magnitude()) < SAME for other in kept[:SHOWN_WAYS]):
-            kept.append(way)
-    return kept
+        if not any(
+            np.max((way.rotation * other.rotation.inv()).magnitude()) < SAME_ROTATION
+            for other in distinct[:WAYS_COMPARED]
+        ):
+            distinct.append(way)
+    return distinct
 
 
 def _sequences(family: Family) -> Iterator[tuple[str, list[int]]]:
@@ -254,20 +257,20 @@ def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, pe
     """Fit the unknown frames for one way to read the columns, and see how far the targets then are."""
     R, p = tip_frames(robot, _si_readings(sample, angle, travel))
     m = sample.position * LENGTHS[length]
-    one = np.zeros(len(m), dtype=int)
-    world, tip = (sample.station if per == where else one for where in ("world_base", "tip_target"))
+    one_frame = np.zeros(len(m), dtype=int)
+    world, tip = (sample.station if per == where else one_frame for where in ("world_base", "tip_target"))
     hints = (pin.SE3.Identity(),) * (int(tip.max()) + 1)
-    found = []
+    starts = []
     for start in start_frames(Posed(R, p, None, m, world, tip), None, None, hints):
         turn = np.array([frame.rotation for frame in start.world_base])[world]
         shift = np.array([frame.translation for frame in start.world_base])[world]
         lever = np.array([frame.translation for frame in start.tip_target])[tip]
         in_base = p + np.einsum("nij,nj->ni", R, lever)
         target = np.einsum("nij,nj->ni", turn, in_base) + shift
-        off = np.linalg.norm(m - target, axis=1)
-        found.append((float(np.median(off)), turn))
-    metres, turn = min(found, key=lambda start: start[0])
-    share = metres / max(_spread(m), TINY)
+        distance = np.linalg.norm(m - target, axis=1)
+        starts.append((float(np.median(distance)), turn))
+    metres, turn = min(starts, key=lambda start: start[0])
+    share = metres / max(_spread(m), LEAST_SPREAD)
     return Reading(angle, length, travel, per, metres, share, turn, R)
 
 
@@ -279,13 +282,13 @@ def _misfit(measured: Rotation, values: np.ndarray, reading: Reading) -> float:
     """
     nominal = reading.world @ reading.tip
     on_tip = Rotation.from_matrix(np.einsum("nji,njk->nik", nominal, measured.as_matrix()))
-    off = np.atleast_1d((on_tip.mean().inv() * on_tip).magnitude())
+    angle = np.atleast_1d((on_tip.mean().inv() * on_tip).magnitude())
     whole = np.isfinite(values).all(axis=1)
-    return float(np.median(off[whole]))
+    return float(np.median(angle[whole]))
 
 
 def _whole(values: np.ndarray) -> np.ndarray:
-    """Values with a whole row in place of each that has holes; such rows do not count."""
+    """Values with each row that has holes replaced by the first whole row; such rows do not count."""
     whole = np.isfinite(values).all(axis=1)
     first = values[np.argmax(whole)]
     return np.where(whole[:, None], values, first)

@@ -11,17 +11,17 @@ import cv2
 import numpy as np
 
 from aridcal.jobs.head1992.charuco import Board
-from aridcal.jobs.print.finders import MISPLACED, WAYS, detected, find_circles, misplaced
+from aridcal.jobs.print.finders import GRID_FLAGS, MOST_MISPLACED, detected, find_circles, misplaced
 from aridcal.jobs.print.patterns import dictionaries, dictionary_of
 
 # Images that are enough to look at, and markers of a dictionary that are no chance.
 ENOUGH_IMAGES, NO_CHANCE = 3, 2
 
 # Share of the images that must show the same: in some a board is cut off, or too far away.
-AGREED = 0.4
+AGREED_SHARE = 0.4
 
 # [px] along an image: more only takes longer.
-WIDE = 1200
+SEARCH_WIDTH = 1200
 
 # Squares of a ChArUco board that are tried, and columns and rows of grids of circles.
 SQUARES, COLUMNS, ROWS = range(3, 17), range(3, 7), range(5, 15, 2)
@@ -51,7 +51,7 @@ def advice(images: Sequence[np.ndarray]) -> str:
     Args:
         images: Grey levels, some of those in which the declared board was not found.
     """
-    factors = [min(1.0, WIDE / max(image.shape)) for image in images]
+    factors = [min(1.0, SEARCH_WIDTH / max(image.shape)) for image in images]
     images = [
         cv2.resize(image, None, fx=f, fy=f, interpolation=cv2.INTER_AREA)
         for image, f in zip(images, factors, strict=True)
@@ -70,7 +70,7 @@ def _agreed(found: Sequence[Recognised | None]) -> Recognised | None:
     boards = [board for board in found if board is not None]
     votes = Counter(board.options for board in boards)
     for options, count in votes.most_common(1):
-        if count >= AGREED * len(found):
+        if count >= AGREED_SHARE * len(found):
             return max((board for board in boards if board.options == options), key=lambda board: board.marks)
     return None
 
@@ -125,7 +125,7 @@ def charuco_size(numbers: np.ndarray, quads: np.ndarray, dictionary: str) -> tup
         if x * y // 2 <= most and y in SQUARES:
             fits.append((misplaced(numbers, quads, Board(x, y, 1.0, 0.75, dictionary)), (x, y)))
     off, size = min(fits, default=(np.inf, (0, 0)))
-    return size if off < MISPLACED else None
+    return size if off < MOST_MISPLACED else None
 
 
 def _chessboard(image: np.ndarray) -> Recognised | None:
@@ -141,7 +141,7 @@ def _chessboard(image: np.ndarray) -> Recognised | None:
 def _circles(image: np.ndarray) -> Recognised | None:
     sizes = sorted(((c, r) for c in COLUMNS for r in ROWS), key=lambda size: -size[0] * size[1])
     for size in sizes:
-        if find_circles(image, size, WAYS[:1])[0]:
+        if find_circles(image, size, GRID_FLAGS[:1])[0]:
             options = f"--board circles --size {size[0]}x{size[1]}"
             return Recognised("a grid of circles is there", options, size[0] * size[1])
     return None

@@ -20,7 +20,7 @@ from aridcal.system.errors import CampaignError
 MOUTH, BORE = 0.85, 0.5
 
 # Depth of the cup's bore, in radii of the ball: from 0.09 on the ball does not touch its floor; the rest is for glue.
-GLUE = 0.25
+GLUE_DEPTH = 0.25
 
 # [m] of material around a mouth or a bolt, and below a seat.
 WALL = 0.003
@@ -32,13 +32,13 @@ HEIGHT, DEPTH, END = 0.016, 0.040, 0.024
 PLATE, STEM, RIM = 0.006, 0.034, 0.0065
 
 # Radius of a bolt's head, in its diameters.
-HEAD = 0.95
+BOLT_HEAD_RADIUS = 0.95
 
 # Pieces of a side of a cell, so many that a seat is round to some 0.01 mm, and of the circle around the cup's axis for each bolt.
 PIECES, SECTOR_PIECES = 72, 48
 
-# [m] Corners that are nearer are one.
-MERGED = 1e-8
+# [m] Corners that are nearer to each other are one.
+SAME_CORNER = 1e-8
 
 Triangles = np.ndarray
 """Shape (T, 3, 3), corners anticlockwise seen from outside."""
@@ -68,10 +68,10 @@ def holder(ball: float, apart: float, bolt: float) -> trimesh.Trimesh:
     radius = ball / 2
     _check_sizes(ball=ball, apart=apart, bolt=bolt)
     if apart < 2 * (MOUTH * radius + WALL) or 2 * (MOUTH * radius + WALL) > DEPTH:
-        most = min(apart, DEPTH)
+        room = min(apart, DEPTH)
         raise CampaignError(
             f"--ball: seats for {MM * ball:g} mm do not fit {MM * apart:g} mm apart into {MM * DEPTH:g} mm of depth; take a "
-            f"ball below {MM * (most - 2 * WALL) / MOUTH:.3g} mm"
+            f"ball below {MM * (room - 2 * WALL) / MOUTH:.3g} mm"
         )
     if (MOUTH - BORE) * radius + WALL > HEIGHT:
         raise CampaignError(f"--ball: a seat for {MM * ball:g} mm is deeper than the holder: take a smaller one")
@@ -96,9 +96,9 @@ def cup(ball: float, bolts: int, circle: float, bolt: float) -> trimesh.Trimesh:
 
     Args:
         ball: Diameter of the ball, [m].
-        bolts: How many.
-        circle: Diameter of the circle that they lie on, [m]; four on 50 mm is ISO 9409-1-50-4.
-        bolt: Diameter of their bores, [m].
+        bolts: Number of bolts.
+        circle: Diameter of the circle of bolts, [m]; four on 50 mm is ISO 9409-1-50-4.
+        bolt: Diameter of the bores for bolts, [m].
 
     Raises:
         CampaignError: the stem leaves no room for the bolts.
@@ -108,7 +108,7 @@ def cup(ball: float, bolts: int, circle: float, bolt: float) -> trimesh.Trimesh:
         raise CampaignError(f"--bolts: {bolts} bolts; three to twelve hold a flange")
     radius, mouth = circle / 2, MOUTH * ball / 2
     stem = mouth + WALL
-    if stem + HEAD * bolt > radius or stem > 0.95 * radius * np.cos(np.pi / bolts):
+    if stem + BOLT_HEAD_RADIUS * bolt > radius or stem > 0.95 * radius * np.cos(np.pi / bolts):
         raise CampaignError(
             f"--ball: a stem of {2 * MM * stem:.3g} mm for {MM * ball:g} mm leaves no room for bolts on a circle of "
             f"{MM * circle:g} mm: take a smaller ball or a larger circle"
@@ -135,7 +135,7 @@ def cup(ball: float, bolts: int, circle: float, bolt: float) -> trimesh.Trimesh:
         _at(mouth * _ray(around), top),
         _at(BORE * ball / 2 * _ray(around), low),
     ]
-    floor = low - GLUE * ball / 2
+    floor = low - GLUE_DEPTH * ball / 2
     loops.append(_at(BORE * ball / 2 * _ray(around), floor))
     tip = np.broadcast_to([0.0, 0.0, floor], loops[-1].shape)
     foot = _at(inner, 0.0)[::-1]
@@ -215,19 +215,20 @@ def _walls(outlines: Sequence[np.ndarray], height: float) -> list[Triangles]:
     starts = np.concatenate(outlines)
     ends = np.concatenate([np.roll(outline, -1, axis=0) for outline in outlines])
     keys = [
-        tuple(map(tuple, np.round(edge / MERGED).astype(int).tolist())) for edge in np.stack([starts, ends], axis=1)
+        tuple(map(tuple, np.round(edge / SAME_CORNER).astype(int).tolist()))
+        for edge in np.stack([starts, ends], axis=1)
     ]
-    known = set(keys)
-    lonely = np.array([(end, start) not in known for start, end in keys])
-    a, b = starts[lonely], ends[lonely]
+    edges = set(keys)
+    unshared = np.array([(end, start) not in edges for start, end in keys])
+    a, b = starts[unshared], ends[unshared]
     low_a, low_b, high_a, high_b = _at(a, 0.0), _at(b, 0.0), _at(a, height), _at(b, height)
     return [np.stack([low_a, low_b, high_a], axis=1), np.stack([high_a, low_b, high_b], axis=1)]
 
 
 def _body(parts: Sequence[Triangles]) -> trimesh.Trimesh:
-    """One closed surface of triangles; corners that coincide are one, triangles without area go."""
-    corners = np.round(np.concatenate(parts).reshape(-1, 3) / MERGED).astype(np.int64)
+    """One closed surface of triangles: coinciding corners are merged, triangles without area dropped."""
+    corners = np.round(np.concatenate(parts).reshape(-1, 3) / SAME_CORNER).astype(np.int64)
     vertices, index = np.unique(corners, axis=0, return_inverse=True)
     faces = index.reshape(-1, 3)
-    real = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return trimesh.Trimesh(vertices * MERGED, faces[real], process=False)
+    with_area = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return trimesh.Trimesh(vertices * SAME_CORNER, faces[with_area], process=False)

@@ -16,39 +16,39 @@ from aridcal.system.reading.regular_files import IMAGE, MEGA
 from aridcal.system.reading.user_names import check_name
 
 ENDINGS = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".webp")
-"""Of files that count as images of a folder."""
+"""Endings of files that count as images of a folder."""
 
 # Decoded, each takes a byte of memory, and three times that on the way.
 MOST_MEGAPIXELS = 100.0
 
 
-def listed_images(named: Sequence[Path]) -> dict[str, Path]:
+def listed_images(paths: Sequence[Path]) -> dict[str, Path]:
     """Images by the names that a table has for them: those of a folder, in the order in which people count, or files.
 
     Args:
-        named: Folders and files.
+        paths: Folders and files.
 
     Raises:
         AridcalError: a folder is not there or has no images, or two images have one name.
     """
-    found: dict[str, Path] = {}
-    for path in named:
+    by_name: dict[str, Path] = {}
+    for path in paths:
         if path.is_dir():
-            files = sorted((file for file in path.iterdir() if file.suffix.lower() in ENDINGS), key=_counted)
+            files = sorted((file for file in path.iterdir() if file.suffix.lower() in ENDINGS), key=_counting_order)
             if not files:
                 raise AridcalError(f"{path}: no images in this folder; their names end in {listed(ENDINGS)}")
         else:
             files = [path]
         for file in files:
             check_name(file.name, str(path), AridcalError)
-            if file.name in found:
-                raise AridcalError(f"{file} and {found[file.name]} have one name: rename one of them")
-            found[file.name] = file
-    return found
+            if file.name in by_name:
+                raise AridcalError(f"{file} and {by_name[file.name]} have one name: rename one of them")
+            by_name[file.name] = file
+    return by_name
 
 
-def _counted(file: Path) -> list[tuple[int, str]]:
-    """Sorts shot_2 before shot_10."""
+def _counting_order(file: Path) -> list[tuple[int, str]]:
+    """Sort key of file names that puts shot_2 before shot_10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 

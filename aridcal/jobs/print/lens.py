@@ -18,7 +18,7 @@ MOST_IMAGES = 60
 # Views without which nothing is tried, and share of the focal length that its standard deviation may be.
 FEWEST_VIEWS, WORST_FOCAL = 4, 0.01
 
-# Marks of a view from which the lens is told as well.
+# Fewest marks of a view from which the lens is estimated as well.
 MANY_MARKS = 12
 
 # An image fits no board if its misfit is so many times that of the others, and beyond so many pixels.
@@ -45,22 +45,22 @@ class Lens:
 
     @property
     def rms(self) -> float:
-        """Of all images, [px]."""
+        """RMS misfit of all images, [px]."""
         return float(np.sqrt(np.nanmean(self.misfit**2)))
 
     @property
     def strange(self) -> np.ndarray:
-        """Images that do not show the board as the others do, shape (I,) bool."""
-        usual = float(np.nanmedian(self.misfit))
+        """True of images whose misfit is far above that of the others, shape (I,) bool."""
+        median = float(np.nanmedian(self.misfit))
         with np.errstate(invalid="ignore"):
-            return np.asarray(self.misfit > max(STRANGE * usual, LEAST_STRANGE))
+            return np.asarray(self.misfit > max(STRANGE * median, LEAST_STRANGE))
 
 
 def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     """Estimate a camera's numbers, a lens of two radial and two tangential terms among them.
 
     Args:
-        images: What was found in each.
+        images: Marks in each.
         size: Width and height of all of them, [px].
 
     Raises:
@@ -77,12 +77,12 @@ def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     if min(map(len, places)) < MANY_MARKS:
         flags |= cv2.CALIB_FIX_K2 | cv2.CALIB_ZERO_TANGENT_DIST
     try:
-        solved = cv2.calibrateCameraExtended(places, pixels, size, None, None, flags=flags)
+        solution = cv2.calibrateCameraExtended(places, pixels, size, None, None, flags=flags)
     except cv2.error:
         raise LensUnknown("the views contradict each other, or are all alike: tilt the board every way") from None
-    _, K, lens, _, _, spread, _, by_view = solved
+    _, K, lens, _, _, std_all, _, by_view = solution
     intrinsics = np.r_[K[0, 0], K[1, 1], K[0, 2], K[1, 2], np.ravel(lens)[:5]]
-    std = np.ravel(spread)[: len(INTRINSICS)].astype(float)
+    std = np.ravel(std_all)[: len(INTRINSICS)].astype(float)
     focal = max(std[0] / intrinsics[0], std[1] / intrinsics[1]) if np.all(intrinsics[:2] > 0) else np.inf
     if not np.isfinite(intrinsics).all() or not focal < WORST_FOCAL:
         raise LensUnknown(
@@ -92,8 +92,8 @@ def estimate(images: Sequence[Found], size: tuple[int, int]) -> Lens:
     misfit = np.full(len(images), np.nan)
     squares = np.ravel(by_view) ** 2
     for k in used:
-        own = [n for n, (image, _) in enumerate(views) if image == k]
-        misfit[k] = np.sqrt(np.mean(squares[own])) if own else np.nan
+        views_of_image = [n for n, (image, _) in enumerate(views) if image == k]
+        misfit[k] = np.sqrt(np.mean(squares[views_of_image])) if views_of_image else np.nan
     return Lens(intrinsics, std, misfit)
 
 
@@ -101,7 +101,7 @@ def fit(images: Sequence[Found], intrinsics: np.ndarray) -> np.ndarray:
     """Misfit of each image's marks with a camera that is known, RMS [px], shape (I,).
 
     Args:
-        images: What was found in each.
+        images: Marks in each.
         intrinsics: In the order of ``INTRINSICS``, shape (9,).
     """
     fx, fy, cx, cy = intrinsics[:4]

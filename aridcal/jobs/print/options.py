@@ -36,22 +36,22 @@ _SIZE = re.compile(r"\s*(\d{1,3})\s*[x×]\s*(\d{1,3})\s*")
 
 def length(text: str) -> float:
     """A length with its unit, ``35mm``: the ``type`` of an argument, [m]."""
-    found = _LENGTH.fullmatch(text)
-    if not found or not 0 < float(found[1]) * UNITS[found[2]] < MM:
+    parts = _LENGTH.fullmatch(text)
+    if not parts or not 0 < float(parts[1]) * UNITS[parts[2]] < MM:
         raise argparse.ArgumentTypeError(f"{text!r} is no length with its unit: write 35mm, 3.5cm or 0.035m")
-    return float(found[1]) * UNITS[found[2]]
+    return float(parts[1]) * UNITS[parts[2]]
 
 
 def size(text: str) -> tuple[int, int]:
     """Squares to the right and down, ``7x5``: the ``type`` of an argument."""
-    found = _SIZE.fullmatch(text)
-    if not found:
+    parts = _SIZE.fullmatch(text)
+    if not parts:
         raise argparse.ArgumentTypeError(f"{text!r} is no size of a board: write 7x5")
-    return int(found[1]), int(found[2])
+    return int(parts[1]), int(parts[2])
 
 
 def add_board_options(arguments: argparse.ArgumentParser) -> None:
-    """Add what describes a board, the same for all commands."""
+    """Add the options that describe a board, the same for all commands."""
     board = arguments.add_argument_group("the board")
     board.add_argument("--size", type=size, help="squares to the right and down, 7x5; circles in a row and rows, 4x11")
     board.add_argument(
@@ -62,24 +62,24 @@ def add_board_options(arguments: argparse.ArgumentParser) -> None:
 
 
 def chosen(arguments: argparse.Namespace, what: str, defaults: Defaults) -> dict[str, Any]:
-    """The options of one thing, defaults filled in.
+    """The options of one kind of print, defaults filled in.
 
     Args:
         arguments: Of the command.
-        what: Which of the things.
-        defaults: Of all of them.
+        what: The kind.
+        defaults: Of all kinds.
 
     Raises:
         CampaignError: an option is given that this thing does not have.
     """
-    own = defaults[what]
-    strange = sorted({name for options in defaults.values() for name in options} - set(own))
-    for name in strange:
+    of_thing = defaults[what]
+    foreign = sorted({name for options in defaults.values() for name in options} - set(of_thing))
+    for name in foreign:
         if getattr(arguments, name) is not None:
-            known = ", ".join(f"--{option}" for option in own) or "no options"
+            known = ", ".join(f"--{option}" for option in of_thing) or "no options"
             raise CampaignError(f"--{name}: {what} has no such option; it has {known}")
-    given = {name: getattr(arguments, name) for name in own}
-    return {name: own[name] if value is None else value for name, value in given.items()}
+    typed = {name: getattr(arguments, name) for name in of_thing}
+    return {name: of_thing[name] if value is None else value for name, value in typed.items()}
 
 
 def board_of(what: str, options: Mapping[str, Any]) -> Board | Chessboard | Circles | Tags | Cube:
@@ -106,10 +106,10 @@ def board_of(what: str, options: Mapping[str, Any]) -> Board | Chessboard | Circ
 
 def as_written(options: Mapping[str, Any]) -> str:
     """Options as they are typed."""
-    return " ".join(f"--{name} {_written(value)}" for name, value in options.items())
+    return " ".join(f"--{name} {_as_typed(value)}" for name, value in options.items())
 
 
-def _written(value: Any) -> str:
+def _as_typed(value: Any) -> str:
     if isinstance(value, tuple):
         return "x".join(map(str, value))
     return f"{MM * value:g}mm" if isinstance(value, float) else str(value)

@@ -98,7 +98,7 @@ class Cube:
 
 
 AnyBoard = Board | Chessboard | Circles | Tags
-"""What can be looked for in an image."""
+"""Boards that can be looked for in an image."""
 
 # x and y of each face of a cube in the cube's frame, and its place in the net, in sides: front, right, back, left, upper, lower.
 FACES = (
@@ -141,7 +141,7 @@ def tag_names(number: int) -> list[str]:
 
 
 def check_board(board: AnyBoard | Cube) -> None:
-    """Refuse what makes no board, or one whose marks cannot be told apart.
+    """Refuse sizes that make no board, and boards whose marks cannot be told apart.
 
     Raises:
         CampaignError: naming the number that is wrong, and the remedy.
@@ -181,7 +181,7 @@ def check_board(board: AnyBoard | Cube) -> None:
 
 
 def marks(board: Board | Chessboard | Circles | Cube) -> Marks:
-    """Labels and places of all that a camera can measure on a board."""
+    """Labels and places of all marks that a camera can measure on a board."""
     if isinstance(board, Cube):
         flat = board.tag * UNIT
         names: list[str] = []
@@ -248,7 +248,7 @@ def _outlines(black: np.ndarray) -> list[np.ndarray]:
 
 
 def drawing(board: Board | Chessboard | Circles | Cube) -> Sheet:
-    """What is printed of a board, without a margin."""
+    """The drawing of a board, without a margin."""
     if isinstance(board, Cube):
         return _net(board)
     if isinstance(board, Circles):

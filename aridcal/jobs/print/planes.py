@@ -55,7 +55,7 @@ class BentPlane:
     half: float
 
     def pixels(self, places: np.ndarray) -> np.ndarray:
-        """Where places on the plane, shape (M, 2), are seen, shape (M, 2), [px]."""
+        """Images of places (M, 2) on the plane, shape (M, 2), [px]."""
         away = (mapped(self.H, places) - self.middle) / self.half
         squared = np.sum(away**2, axis=1, keepdims=True)
         # The smaller root of b s r² - r + s = 0, s and r without and with the lens, in a form that b = 0 does not spoil.
@@ -63,34 +63,34 @@ class BentPlane:
         return np.asarray(self.middle + self.half * 2 * away / (1 + root))
 
     def places(self, pixels: np.ndarray) -> np.ndarray:
-        """Which places on the plane are seen at pixels, shape (M, 2)."""
+        """Places on the plane whose images are these pixels (M, 2), shape (M, 2)."""
         return mapped(np.linalg.inv(self.H), _straight(pixels, self.bend, self.middle, self.half))
 
 
 def bent_plane(places: np.ndarray, pixels: np.ndarray, size: tuple[int, int]) -> BentPlane:
-    """Find how a plane is seen from marks on it.
+    """Fit how a lens shows a plane, to marks on it.
 
     Args:
         places: On the plane, shape (M, 2), four or more that are not on one line.
-        pixels: Where they are seen, shape (M, 2).
+        pixels: Images of the marks, shape (M, 2).
         size: Width and height of the image, [px].
     """
     middle = (np.array(size) - 1) / 2
     half = float(np.linalg.norm(middle))
 
-    def seen(bend: float) -> BentPlane:
+    def plane_with(bend: float) -> BentPlane:
         H, _ = cv2.findHomography(places, _straight(pixels, bend, middle, half), 0)
         return BentPlane(H, bend, middle, half)
 
     def residual(bend: float) -> np.ndarray:
-        return np.ravel(seen(bend).pixels(places) - pixels)
+        return np.ravel(plane_with(bend).pixels(places) - pixels)
 
     bend = 0.0
     for _ in range(STEPS):  # Gauss-Newton in the bend alone, as each has its own homography
         here = residual(bend)
         slope = (residual(bend + LITTLE) - here) / LITTLE
         bend = float(np.clip(bend - slope @ here / (slope @ slope), -MOST_BENT, MOST_BENT))
-    return seen(bend)
+    return plane_with(bend)
 
 
 def _straight(pixels: np.ndarray, bend: float, middle: np.ndarray, half: float) -> np.ndarray:

@@ -12,7 +12,7 @@ SAMPLES = 61
 PLATEAU = 0.15
 
 # [grey levels] that two sides of an edge differ by at least.
-CONTRAST = 25.0
+LEAST_CONTRAST = 25.0
 
 # Lines across the side of a marker, and how far from its ends, in its length, the first and the last are.
 LINES, CLEAR_OF_CORNERS = 24, 0.13
@@ -25,7 +25,7 @@ REACH = 0.5
 FEWEST_LINES, OUTLYING = 10, 4.0
 
 # Steps to where two bent sides meet: each is ten times nearer.
-STEPS = 5
+CORNER_STEPS = 5
 
 
 def profiles(image: np.ndarray, starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ def crossings(grey: np.ndarray) -> np.ndarray:
     # One crossing only: anything else is another edge.
     passes = (above[:, :-1] < 0) & (above[:, 1:] >= 0)
     back = (above[:, :-1] >= 0) & (above[:, 1:] < 0)
-    clear = (np.abs(contrast) >= CONTRAST) & (passes.sum(axis=1) == 1) & ~back.any(axis=1)
+    clear = (np.abs(contrast) >= LEAST_CONTRAST) & (passes.sum(axis=1) == 1) & ~back.any(axis=1)
     k = np.argmax(passes, axis=1)
     rows = np.arange(len(grey))
     low, high = above[rows, k], above[rows, k + 1]
@@ -71,7 +71,7 @@ def blurs(grey: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     steps = lengths / (SAMPLES - 1)
     wide = 4  # samples that a slope is taken over: one pixel's noise is no edge
     slope = np.abs(grey[:, wide:] - grey[:, :-wide]).max(axis=1) / (wide * steps)
-    seen = (np.abs(contrast) >= CONTRAST) & (slope > 0)
+    seen = (np.abs(contrast) >= LEAST_CONTRAST) & (slope > 0)
     return np.where(seen, np.abs(contrast) / np.sqrt(2 * np.pi) / np.where(seen, slope, 1.0), np.nan)
 
 
@@ -151,7 +151,7 @@ def _parabola(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> np.ndar
 def _meeting(corner: np.ndarray, quad: np.ndarray, curves: list[np.ndarray], k: int) -> np.ndarray:
     """Where side k, which starts at corner k, meets the side that ends there: both as their tangents, step by step."""
     point = corner.copy()
-    for _ in range(STEPS):
+    for _ in range(CORNER_STEPS):
         normals, values = [], []
         for side in (k, (k - 1) % 4):
             start = quad[side]

@@ -17,7 +17,7 @@ MM = 1e3
 MM_PER_POINT = 25.4 / 72
 
 # Width of cut and fold lines, [mm]; grey, so that they are no mark.
-LINE = 0.1
+LINE_WIDTH = 0.1
 
 # Paper sizes that are tried, narrow side first, [mm].
 PAPERS = {"A4": (210.0, 297.0), "A3": (297.0, 420.0), "A2": (420.0, 594.0), "A1": (594.0, 841.0), "A0": (841.0, 1189.0)}
@@ -32,16 +32,16 @@ RULER_AT, RULER, RULER_STEP, RULER_MARK = 8.5, 100.0, 10.0, 3.0
 LETTERS, BELOW, UNREACHED = 3.0, 0.7, 4.5
 
 # A quarter of a circle as a Bézier curve: its control points lie so many radii along the tangents.
-QUARTER = 4 / 3 * (np.sqrt(2) - 1)
+BEZIER_QUARTER = 4 / 3 * (np.sqrt(2) - 1)
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """What is printed on a sheet, [mm] from its lower left corner, y up.
+    """The drawing on a sheet, [mm] from its lower left corner, y up.
 
     Attributes:
         size: Width and height of the sheet.
-        ink: What is black, each of one or more loops of shape (K, 2): outlines turn left, the edges of holes right.
+        ink: Black areas, each of one or more loops of shape (K, 2): outlines turn left, the edges of holes right.
         discs: Black discs, x, y and radius, shape (D, 3).
         cuts: Lines to cut along, each of shape (K, 2).
         folds: Lines to fold along, shape (F, 2, 2), dashed.
@@ -61,7 +61,7 @@ def on_paper(drawing: Sheet, title: str) -> Sheet:
 
     Args:
         drawing: Without a margin.
-        title: What it is.
+        title: Printed above it.
 
     Returns:
         The sheet; of the drawing's own size with a margin where no paper is large enough.
@@ -91,10 +91,10 @@ def _rulers(size: tuple[float, float]) -> tuple[list[np.ndarray], list[tuple[flo
             RULER if size[axis] >= RULER + 4 * RULER_AT else RULER_STEP * np.floor((size[axis] - 4 * RULER_AT) / 10)
         )
         steps = round(length / RULER_STEP)
-        bars = [np.array([2 * RULER_AT, RULER_AT, length, 2 * LINE])]  # x and y of its corner, width and height
+        bars = [np.array([2 * RULER_AT, RULER_AT, length, 2 * LINE_WIDTH])]  # x and y of its corner, width and height
         for k in range(steps + 1):
             high = RULER_MARK if k in (0, steps) else RULER_MARK / 2
-            bars.append(np.array([2 * RULER_AT + k * RULER_STEP - LINE / 2, RULER_AT, LINE, high]))
+            bars.append(np.array([2 * RULER_AT + k * RULER_STEP - LINE_WIDTH / 2, RULER_AT, LINE_WIDTH, high]))
         for x, y, width, high in bars:
             corners = np.array([[x, y], [x + width, y], [x + width, y + high], [x, y + high]])
             marks.append(corners[::-1, ::-1] if axis else corners)
@@ -112,7 +112,7 @@ def svg(sheet: Sheet) -> str:
         f'viewBox="0 0 {width:g} {height:g}">',
         f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
     ]
-    pen = f'fill="none" stroke="#999" stroke-width="{LINE}"'
+    pen = f'fill="none" stroke="#999" stroke-width="{LINE_WIDTH}"'
     lines += [f'<polyline points="{_svg_points(cut, height)}" {pen}/>' for cut in sheet.cuts]
     lines += [f'<polyline points="{_svg_points(fold, height)}" {pen} stroke-dasharray="2 1"/>' for fold in sheet.folds]
     lines += [f'<path d="{_svg_path(loops, height)}" fill="black"/>' for loops in sheet.ink]
@@ -134,7 +134,7 @@ def _svg_path(loops: Sequence[np.ndarray], height: float) -> str:
 def pdf(sheet: Sheet) -> bytes:
     """Draw a sheet as a PDF of one page."""
     width, height = np.array(sheet.size) / MM_PER_POINT
-    operators = [f"0.6 G {LINE / MM_PER_POINT:.4f} w"]
+    operators = [f"0.6 G {LINE_WIDTH / MM_PER_POINT:.4f} w"]
     operators += [f"{_pdf_path(cut)} S" for cut in sheet.cuts]
     dash, gap = 2 / MM_PER_POINT, 1 / MM_PER_POINT
     operators += [f"[{dash:.4f} {gap:.4f}] 0 d", *(f"{_pdf_path(fold)} S" for fold in sheet.folds), "0 g"]
@@ -168,7 +168,7 @@ def _pdf_disc(disc: np.ndarray) -> str:
     start, steps = np.array([r, 0]), []
     for _ in range(4):
         end = np.array([-start[1], start[0]])
-        for dx, dy in (start + QUARTER * end, end + QUARTER * start, end):
+        for dx, dy in (start + BEZIER_QUARTER * end, end + BEZIER_QUARTER * start, end):
             steps.append(f"{x + dx:.4f} {y + dy:.4f}")
         start = end
     curves = [f"{a} {b} {c} c" for a, b, c in zip(steps[::3], steps[1::3], steps[2::3], strict=True)]

@@ -12,8 +12,8 @@ from aridcal.engine.instruments.setup import WORLD
 from aridcal.files.instrument_settings import Carrier
 from aridcal.files.things import BOARD, Known
 from aridcal.jobs.simulate.true_things import (
-    AROUND,
     FACING,
+    MARKER_BOX,
     RANGE_OF_TIP,
     RANGE_OF_WORLD,
     Real,
@@ -25,7 +25,7 @@ from aridcal.jobs.simulate.true_things import (
 )
 from aridcal.system.errors import CampaignError
 
-FEWEST = 4
+FEWEST_MARKERS = 4
 """Markers of a board in a usable image, or all if there are fewer."""
 
 POOL, DRAWS = 1000, 200
@@ -34,7 +34,7 @@ POOL, DRAWS = 1000, 200
 PLACES, TRIED = 15, 400
 """Places that are drawn for a board or a camera, and postures on which they are compared."""
 
-AT_ONCE = 100_000
+MARKERS_AT_ONCE = 100_000
 """Markers in images that are looked at in one go."""
 
 Tips = Callable[[np.ndarray, str, str], tuple[np.ndarray, np.ndarray]]
@@ -69,33 +69,33 @@ class Sight:
         return np.repeat(np.arange(len(self.markers)), [len(own) for own in self.markers])
 
     def shown(self, camera: int, tips: Tips, readings: np.ndarray) -> np.ndarray:
-        """Which markers a camera sees in some postures, shape (n, markers) bool: those of boards of which it sees enough."""
-        found = np.zeros((len(readings), len(self.real["marker"].names)), dtype=bool)
+        """Markers that a camera sees in some postures, shape (n, markers) bool: of boards of which it sees enough."""
+        markers = np.zeros((len(readings), len(self.real["marker"].names)), dtype=bool)
         for board in self.boards[camera]:
-            seen = self.seen(camera, board, *self.poses(camera, board, tips, readings))
-            enough = seen.sum(axis=1) >= min(FEWEST, seen.shape[1])
-            found[:, self.markers[board]] = seen & enough[:, None]
-        return found
+            on_board = self.seen(camera, board, *self.poses(camera, board, tips, readings))
+            enough = on_board.sum(axis=1) >= min(FEWEST_MARKERS, on_board.shape[1])
+            markers[:, self.markers[board]] = on_board & enough[:, None]
+        return markers
 
     def poses(self, camera: int, board: int, tips: Tips, readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of what carries a camera, or its board, by their numbers."""
+        """Poses of a camera's carrier, or of its board's, see :data:`Tips`; camera and board by their numbers."""
         return tips(readings, self.real["camera"].names[camera], self.real["board"].names[board])
 
     def seen(self, camera: int, board: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
-        """Which markers of a board a camera sees from poses, see :data:`Tips`, shape (n, M) bool."""
-        step = max(1, AT_ONCE // len(self.markers[board]))
-        made = [self._seen(camera, board, R[k : k + step], p[k : k + step]) for k in range(0, len(R), step)]
-        return np.concatenate(made)
+        """Markers of a board that a camera sees from poses, see :data:`Tips`, shape (n, M) bool."""
+        step = max(1, MARKERS_AT_ONCE // len(self.markers[board]))
+        parts = [self._seen(camera, board, R[k : k + step], p[k : k + step]) for k in range(0, len(R), step)]
+        return np.concatenate(parts)
 
     def _seen(self, camera: int, board: int, R: np.ndarray, p: np.ndarray) -> np.ndarray:
-        own, n = self.markers[board], len(R)
-        m, each = len(own), np.repeat(np.arange(n), len(own))
-        states = self.states(np.full(n * m, camera), board, np.tile(own, n))
-        seen = in_image(R[each], p[each], states, self.size[camera]).reshape(n, m)
+        markers, n = self.markers[board], len(R)
+        m, index = len(markers), np.repeat(np.arange(n), len(markers))
+        states = self.states(np.full(n * m, camera), board, np.tile(markers, n))
+        visible = in_image(R[index], p[index], states, self.size[camera]).reshape(n, m)
         if self.printed[board]:
             cameras, boards, _ = self.states(np.full(n, camera), board, np.zeros(n, int))
-            seen &= faces(R, p, cameras, boards)[:, None]
-        return seen
+            visible &= faces(R, p, cameras, boards)[:, None]
+        return visible
 
     def states(self, camera: np.ndarray, board: int, marker: np.ndarray) -> list[np.ndarray]:
         """States of cameras, their board and markers, by their numbers."""
@@ -227,14 +227,14 @@ def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng:
     else:
         word = "marker" if alone else f"{carrier}_marker"
         labels = tuple(f"{word}_{k + 1}" for k in range(things.markers))
-        xyz = rng.uniform(-0.5, 0.5, (len(labels), 3)) * (AROUND if carrier == WORLD else AROUND / 3)
+        xyz = rng.uniform(-0.5, 0.5, (len(labels), 3)) * (MARKER_BOX if carrier == WORLD else MARKER_BOX / 3)
     if carrier != WORLD and place is None:
         place = np.eye(4)
     return _Board(carrier, labels, xyz, board is not None, place)
 
 
 def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
-    """The setup with what a camera lacks, where it sees most: its board, of one on the tip, or its own place beside the arm."""
+    """The setup with the place that a camera lacks, where it sees most: its board's if it is on the tip, else its own."""
     name, camera = list(setup.cameras.items())[number]
     looked_at = setup.looked_at[number]
     b = next((k for k in looked_at if setup.boards[k].place is None), looked_at[0])
@@ -242,34 +242,34 @@ def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
     if board.place is not None if camera.on_tip else camera.given:
         return setup
     board_name = BOARD + board.carrier
-    carried = np.tile(
+    carrier_places = np.tile(
         np.eye(4), (PLACES, 1, 1)
     )  # places of the camera's carrier in the board's, or the other way round
-    carried[:, :3, :3], carried[:, :3, 3] = tips(draw(PLACES), name, board_name)
-    before = _looking_at(board.xyz.mean(axis=0), RANGE_OF_TIP if camera.on_tip else RANGE_OF_WORLD)
-    looks = tips(draw(TRIED), name, board_name)
+    carrier_places[:, :3, :3], carrier_places[:, :3, 3] = tips(draw(PLACES), name, board_name)
+    view = _looking_at(board.xyz.mean(axis=0), RANGE_OF_TIP if camera.on_tip else RANGE_OF_WORLD)
+    carrier_poses = tips(draw(TRIED), name, board_name)
 
-    def seen(tried: _Setup, elsewhere: np.ndarray) -> int:
-        return int(tried.sight(elsewhere).seen(number, b, *looks).sum())
+    def count_seen(candidate: _Setup, elsewhere: np.ndarray) -> int:
+        return int(candidate.sight(elsewhere).seen(number, b, *carrier_poses).sum())
 
     if camera.on_tip:
-        places = carried @ camera.place @ np.linalg.inv(before)
-        return setup.with_board(b, max(places, key=lambda place: seen(setup.with_board(b, place), place)))
+        places = carrier_places @ camera.place @ np.linalg.inv(view)
+        return setup.with_board(b, max(places, key=lambda place: count_seen(setup.with_board(b, place), place)))
     assert board.place is not None
-    places = carried @ board.place @ before
-    return setup.with_camera(name, max(places, key=lambda place: seen(setup.with_camera(name, place), np.eye(4))))
+    places = carrier_places @ board.place @ view
+    return setup.with_camera(name, max(places, key=lambda place: count_seen(setup.with_camera(name, place), np.eye(4))))
 
 
 def _looking_at(middle: np.ndarray, distance: float) -> np.ndarray:
     """Pose in a board's frame of a camera that looks straight at a place of it from so far, shape (4, 4), [m]."""
-    before = np.eye(4)
-    before[:3, :3] = FACING
-    before[:3, 3] = middle + [0.0, 0.0, distance]
-    return before
+    view = np.eye(4)
+    view[:3, :3] = FACING
+    view[:3, 3] = middle + [0.0, 0.0, distance]
+    return view
 
 
 def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place: str) -> tuple[np.ndarray, np.ndarray]:
-    """Readings from which each image shows enough, shape (K, columns), and what it shows, shape (K, markers) bool.
+    """Readings from which each image shows enough, shape (K, columns), and the markers in it, shape (K, markers) bool.
 
     Of several boards each is in turn what an image must show; others may come into it.
 
@@ -288,17 +288,17 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
     for c in np.unique(cameras).tolist():
         boards = seen.boards[c]
         for turn, board in enumerate(boards):
-            todo, own = np.flatnonzero(cameras == c)[turn :: len(boards)], seen.markers[board]
+            missing, board_markers = np.flatnonzero(cameras == c)[turn :: len(boards)], seen.markers[board]
             for _ in range(DRAWS):
-                if not len(todo):
+                if not len(missing):
                     break
                 q = draw(POOL)
                 markers = seen.shown(c, tips, q)
-                good = np.flatnonzero(markers[:, own].any(axis=1))[: len(todo)]
-                readings[todo[: len(good)]] = q[good]
-                shown[todo[: len(good)]] = markers[good]
-                todo = todo[len(good) :]
-            if len(todo):
+                usable = np.flatnonzero(markers[:, board_markers].any(axis=1))[: len(missing)]
+                readings[missing[: len(usable)]] = q[usable]
+                shown[missing[: len(usable)]] = markers[usable]
+                missing = missing[len(usable) :]
+            if len(missing):
                 raise CampaignError(
                     f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
                     f"{seen.real['board'].names[board].removeprefix(BOARD)} from hardly any posture of the robot: move camera "

@@ -35,7 +35,15 @@ from aridcal.files.things import Known, known_of
 from aridcal.jobs.simulate.camera_postures import Sight, Tips, draw_images, sight
 from aridcal.jobs.simulate.scenario import Scenario, TrueFrame, columns_of
 from aridcal.jobs.simulate.true_effects import Cause, Machine, draw_columns, make_causes
-from aridcal.jobs.simulate.true_things import AROUND, Around, Real, true_anchors, true_grasps, true_planes, true_points
+from aridcal.jobs.simulate.true_things import (
+    MARKER_BOX,
+    Around,
+    Real,
+    true_anchors,
+    true_grasps,
+    true_planes,
+    true_points,
+)
 from aridcal.system.errors import CampaignError
 from aridcal.system.reading.table_files import FIRST_LINE
 
@@ -43,7 +51,7 @@ REACHED, WELL = 1000, (0.25, 0.75)
 """Postures drawn to see where the arm reaches, and quantiles of their distance from the base between which places are reached in
 many ways, and by every target."""
 
-MIDDLE = 0.4
+GRASP_RANGE_SHARE = 0.4
 """Share of each joint's range, about its middle, in which two links take a body."""
 
 PASSES, NEWTON = 5, 4
@@ -55,7 +63,7 @@ class Rows:
     """Rows of one block, n of them.
 
     Attributes:
-        kind: Of them.
+        kind: Of the measurements.
         readings: Shape (n, columns), [rad] or [m].
         shot: Number of each row's configuration among those of the block, shape (n,): an image has many rows.
         refers: Numbers of the things that rows refer to, by the kind's roles, shape (n, roles).
@@ -63,7 +71,7 @@ class Rows:
         stroke: What a gauge is to read, shape (n,), [m]; 0 where the target touches.
         routes: The paths that they take.
         route: Number of each row's path, shape (n,); None where all take one.
-        changes: How the things that the rows refer to are otherwise than their states, (n, u) by role; None: in nothing.
+        changes: Differences of the things from their states at each row, (n, u) by role; None: none.
     """
 
     kind: Kind
@@ -85,7 +93,7 @@ class Rows:
         return [role.moved(*each) for role, *each in zip(roles, states, self.changes, strict=True)]
 
     def along(self, known: Known, real: Mapping[str, Real], tip: str, links: tuple[str, str] | None = None) -> Rows:
-        """The same rows with the paths that they take.
+        """The rows with the paths that they take.
 
         Args:
             known: What carries the things.
@@ -95,13 +103,15 @@ class Rows:
         """
         refers = [self.labels(role.name, real) for role in self.kind.roles]
         labels = np.column_stack(refers) if refers else np.zeros((len(self.shot), 0), dtype=str)
-        every = routes_of(known, self.kind.name, labels, self.target, tip, links)
-        routes = tuple(dict.fromkeys(every))
+        routes_of_rows = routes_of(known, self.kind.name, labels, self.target, tip, links)
+        routes = tuple(dict.fromkeys(routes_of_rows))
         number = {route: k for k, route in enumerate(routes)}
-        return replace(self, routes=routes, route=np.array([number[r] for r in every]) if len(routes) > 1 else None)
+        return replace(
+            self, routes=routes, route=np.array([number[r] for r in routes_of_rows]) if len(routes) > 1 else None
+        )
 
     def chains(self, model: Model) -> Model:
-        """A model of the robot whose rows take the paths of these."""
+        """A model of the robot along the paths of these rows."""
         return replace(model, routes=self.routes)
 
     def seen_by(
@@ -130,7 +140,7 @@ class Rows:
         return np.array(real[role].names)[self.refers[:, roles.index(role)]]
 
     def faulty(self, real: Mapping[str, Real], faults: Model, values: np.ndarray, phi: np.ndarray) -> Rows:
-        """The same rows measured with things that have faults.
+        """The rows measured with things that have faults.
 
         Args:
             real: The things as they are.
@@ -170,7 +180,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Measured:
-    """A machine measured.
+    """Measurements of a machine.
 
     Attributes:
         tables: Of each block, as they are written.
@@ -187,23 +197,23 @@ class Measured:
 
 def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
     """True T_tip_target by label, as the reader of the campaign calls them."""
-    stated = scenario.truth.frames.targets
-    every: dict[str, TargetSettings | TrueFrame] = {**scenario.instruments.targets, **stated}
-    placed = {name: pin.SE3(pin.rpy.rpyToMatrix(*each.rpy), np.array(each.xyz)) for name, each in every.items()}
-    names = [label for block in scenario.blocks for label in _own(scenario, block)]
-    return {name: placed.get(name, pin.SE3.Identity() if name == TIP else tip) for name in dict.fromkeys(names)}
+    true_frames = scenario.truth.frames.targets
+    frames: dict[str, TargetSettings | TrueFrame] = {**scenario.instruments.targets, **true_frames}
+    placements = {name: pin.SE3(pin.rpy.rpyToMatrix(*each.rpy), np.array(each.xyz)) for name, each in frames.items()}
+    names = [label for block in scenario.blocks for label in _labels_of_block(scenario, block)]
+    return {name: placements.get(name, pin.SE3.Identity() if name == TIP else tip) for name in dict.fromkeys(names)}
 
 
-def _own(scenario: Scenario, block: MeasurementSettings) -> list[str]:
+def _labels_of_block(scenario: Scenario, block: MeasurementSettings) -> list[str]:
     """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
     if block.traits.bare or (block.traits.level and block.target is None):
         return [own_target(block.traits, block.title)]
     if block.target is not None:
         return [block.target]
-    taken = [other.title for other in scenario.blocks if other.traits.level]
-    taken += [other.target for other in scenario.blocks if other.target is not None]
-    every = dict.fromkeys((*scenario.instruments.targets, *scenario.truth.frames.targets))
-    return [name for name in every if name not in taken] or [ONE_TARGET]
+    of_other_blocks = [other.title for other in scenario.blocks if other.traits.level]
+    of_other_blocks += [other.target for other in scenario.blocks if other.target is not None]
+    stated = dict.fromkeys((*scenario.instruments.targets, *scenario.truth.frames.targets))
+    return [name for name in stated if name not in of_other_blocks] or [ONE_TARGET]
 
 
 def measured(
@@ -222,12 +232,12 @@ def measured(
     """
     configurations, noise, outliers, chance, of_things = streams
     truth, robot = scenario.truth, machine.robot
-    own = configurations.spawn(len(scenario.blocks) + 1)
+    streams_of_blocks = configurations.spawn(len(scenario.blocks) + 1)
     known, things = known_of(scenario), truth.instruments
     roles = ("point", "anchor", "plane", "camera", "link", GRASP.name)
     of_role = dict(zip(roles, of_things.spawn(len(roles)), strict=True))
-    around_things = _around_things(scenario, machine, own[-1], of_role["link"])
-    drawn = {
+    around_things = _around_things(scenario, machine, streams_of_blocks[-1], of_role["link"])
+    draw_things = {
         "point": lambda rng: true_points(things, known, around_things, rng),
         "anchor": lambda rng: true_anchors(things, known, around_things, rng),
         "plane": lambda rng: true_planes(things, known, around_things, rng),
@@ -237,69 +247,72 @@ def measured(
     faultless = {TRACKER.name: Real(trackers, np.zeros((len(trackers), TRACKER.size)))}
     real: dict[str, Real] = {}
     for role in dict.fromkeys(role.name for block in scenario.blocks for role in block.traits.roles):
-        real |= {role: drawn[role](of_role[role])} if role in drawn else {}
-    seen: Sight | None = None
+        real |= {role: draw_things[role](of_role[role])} if role in draw_things else {}
+    images: Sight | None = None
     if any(block.traits.images for block in scenario.blocks):
         rng = of_role["camera"]
-        seen = sight(things, known, _tips(known, machine), lambda n: draw_readings(robot, n, rng), rng)
-        real |= seen.real
-    every = real | faultless
+        images = sight(things, known, _tips(known, machine), lambda n: draw_readings(robot, n, rng), rng)
+        real |= images.real
+    things_of_rows = real | faultless
     rows = [
-        _begun(scenario, number, machine, known, every, seen, own[number]) for number in range(len(scenario.blocks))
+        _first_rows(scenario, number, machine, known, things_of_rows, images, streams_of_blocks[number])
+        for number in range(len(scenario.blocks))
     ]
     errors, wrong = zip(*[_errors(scenario, each, noise, outliers) for each in rows], strict=True)
-    rows, causes, model, true, columns = _with_effects(scenario, machine, known, rows, every, errors, around, chance)
+    rows, causes, model, true, columns = _with_effects(
+        scenario, machine, known, rows, things_of_rows, errors, around, chance
+    )
     tables = []
     for number, (block, each) in enumerate(zip(scenario.blocks, rows, strict=True)):
         chains = each.chains(model)
         R, p = chains.poses(true, each.seen_by(chains, each.readings, columns[number]))
-        read = _read(each, R, p, every, errors[number])
-        tables.append(_table(scenario, number, block, robot, each, every, read, columns[number]))
+        values = _read(each, R, p, things_of_rows, errors[number])
+        tables.append(_table(scenario, number, block, robot, each, things_of_rows, values, columns[number]))
     return Measured(tuple(tables), tuple(causes), tuple(wrong), real)
 
 
 def _around_things(
     scenario: Scenario, machine: Machine, configurations: np.random.Generator, of_links: np.random.Generator
 ) -> Around:
-    """Where things are drawn: in the world where the robot reaches, on a link around its frame."""
+    """Places among which things are drawn: in the world where the robot reaches, on a link around its frame."""
     label = next((name for name in machine.tips if name != TIP), TIP)
     target = scenario.instruments.targets.get(label)
     end = None if target is None or target.on in (TIP, machine.robot.tip) else target.on
     _, reached = machine.along(Route(None, end), label)(draw_readings(machine.robot, REACHED, configurations))
-    off = np.linalg.norm(reached - machine.world.translation, axis=1)
-    reached = reached[(off >= np.quantile(off, WELL[0])) & (off <= np.quantile(off, WELL[1]))]
-    near = of_links.uniform(-0.5, 0.5, (REACHED, 3)) * AROUND / 3
+    distance = np.linalg.norm(reached - machine.world.translation, axis=1)
+    reached = reached[(distance >= np.quantile(distance, WELL[0])) & (distance <= np.quantile(distance, WELL[1]))]
+    near = of_links.uniform(-0.5, 0.5, (REACHED, 3)) * MARKER_BOX / 3
     return lambda carrier: reached if carrier == WORLD else near
 
 
 def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> Real:
-    """Poses in which two links take a body, of all blocks: as in postures off the limits, so that many others reach them."""
-    found = []
+    """Poses in which two links take a body, of all blocks: those of postures off the limits, so that many others reach them."""
+    grasps = []
     for number, block in enumerate(scenario.blocks):
         if block.links is not None:
             (route,) = routes_of(
                 known_of(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
             )
 
-            def held(count: int, route: Route = route) -> tuple[np.ndarray, np.ndarray]:
+            def draw_poses(count: int, route: Route = route) -> tuple[np.ndarray, np.ndarray]:
                 low, high = limits_of(machine.robot)
                 middle, half = (low + high) / 2.0, (high - low) / 2.0
-                drawn = rng.uniform(-MIDDLE, MIDDLE, (count, len(low)))
-                return machine.along(route, TIP)(middle + half * drawn)
+                shares = rng.uniform(-GRASP_RANGE_SHARE, GRASP_RANGE_SHARE, (count, len(low)))
+                return machine.along(route, TIP)(middle + half * shares)
 
-            found.append(true_grasps(_of_grasps(scenario, number), scenario.truth.instruments.grasps, held))
-    names = tuple(name for each in found for name in each.names)
-    return Real(names, np.concatenate([each.states for each in found]))
+            grasps.append(true_grasps(_of_grasps(scenario, number), scenario.truth.instruments.grasps, draw_poses))
+    names = tuple(name for each in grasps for name in each.names)
+    return Real(names, np.concatenate([each.states for each in grasps]))
 
 
 def _of_grasps(scenario: Scenario, number: int) -> str:
-    """What the labels of a block's grasps begin with: another word in each block, as they are of other links."""
+    """The word that labels of a block's grasps begin with: another one in each block, as they are of other links."""
     several = sum(block.links is not None for block in scenario.blocks) > 1
     return f"{scenario.blocks[number].title}_{GRASP.name}" if several else GRASP.name
 
 
 def _tips(known: Known, machine: Machine) -> Tips:
-    """Where what carries a camera is from what carries a board, or that of the board from a camera in the world."""
+    """Poses of a camera's carrier in a board's carrier, or of the board's carrier in the world if that carries the camera."""
 
     @cache
     def between(camera: str, board: str) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -309,36 +322,36 @@ def _tips(known: Known, machine: Machine) -> Tips:
     return lambda readings, camera, board: between(camera, board)(readings)
 
 
-def _begun(
+def _first_rows(
     scenario: Scenario,
     number: int,
     machine: Machine,
     known: Known,
     real: Mapping[str, Real],
-    seen: Sight | None,
+    cameras_seen: Sight | None,
     rng: np.random.Generator,
 ) -> Rows:
     """Rows of a block, the machine without its effects."""
     block, truth = scenario.blocks[number], scenario.truth
     place = f"{scenario.path}: {scenario.place(number)}"
     kind, n = KINDS[block.kind], truth.n
-    bare, theta = machine.model()
+    nominal, theta = machine.model()
 
     def pose(of: Rows) -> Pose:
-        chains = of.chains(bare)
+        chains = of.chains(nominal)
         return lambda readings, some: chains.poses(theta, of.seen_by(chains, readings, some=some))
 
-    if seen is not None and kind.images:
-        names = seen.real["camera"].names
-        own = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
-        camera = np.array(own)[np.arange(n) % len(own)]
+    if cameras_seen is not None and kind.images:
+        names = cameras_seen.real["camera"].names
+        numbers = [names.index(block.camera)] if block.camera is not None else list(range(len(names)))
+        camera = np.array(numbers)[np.arange(n) % len(numbers)]
         draw = partial(draw_readings, machine.robot, rng=rng)
-        readings, shown = draw_images(seen, camera, _tips(known, machine), draw, place)
+        readings, shown = draw_images(cameras_seen, camera, _tips(known, machine), draw, place)
         shot, marker = np.nonzero(shown)
-        refers = np.column_stack([camera[shot], seen.board_of[marker], marker])
+        refers = np.column_stack([camera[shot], cameras_seen.board_of[marker], marker])
         rows = Rows(kind, readings[shot], shot, refers, np.full(len(shot), TIP), np.zeros(len(shot)))
         return rows.along(known, real, machine.robot.tip)
-    labels = _own(scenario, block)
+    labels = _labels_of_block(scenario, block)
     shot = np.arange(n)
     count = len(real[kind.roles[0].name].names) if labelled(kind.name) else 1
     refers = (shot % count)[:, None][:, : len(kind.roles)]
@@ -406,12 +419,17 @@ def _with_effects(
     labels = [*machine.tips]
     tip = np.concatenate([[labels.index(label) for label in each.target] for each in rows]).astype(int)
     targets = np.array([placement.translation for placement in machine.tips.values()])
-    states = {role: dict(zip(own.names, own.states, strict=True)) for role, own in real.items()}
-    held = {
+    states = {
+        role: dict(zip(things_of_role.names, things_of_role.states, strict=True))
+        for role, things_of_role in real.items()
+    }
+    components = {
         (role.name, name): role.components for each in rows for role in each.kind.roles for name in states[role.name]
     }
-    names_of_things = {name for _, name in held}
-    linked = {name for role, own in real.items() for name in own.names if known.linked(role, name)}
+    names_of_things = {name for _, name in components}
+    linked = {
+        name for role, things_of_role in real.items() for name in things_of_role.names if known.linked(role, name)
+    }
     plane = np.concatenate([each.labels("plane", real) for each in rows])
     touching = any(each.miss(real, e) is not None for each, e in zip(rows, errors, strict=True))
     for _ in range(PASSES if touching and truth.effects else 1):
@@ -431,17 +449,20 @@ def _with_effects(
         columns = {name: values[shot] for name, values in of_shots.items()}
         causes, depends = make_causes(
             truth.effects, robot, readings, columns, around, deepcopy(chance), f"{scenario.path}: truth",
-            np.concatenate(lines).astype(float), tip, held, _places_seen(replace(nominal, around=around), rows),
+            np.concatenate(lines).astype(float), tip, components, _places_seen(replace(nominal, around=around), rows),
         )  # fmt: skip
-        model, true = machine.model([cause for cause in causes if cause.effect.where not in names_of_things], around)
+        model, theta = machine.model([cause for cause in causes if cause.effect.where not in names_of_things], around)
         faults, values = machine.faults([cause for cause in causes if cause.effect.where in names_of_things], around)
         parts = [{name: column[low:high] for name, column in depends.items()} for low, high in pairwise(ends)]
         phis = [
             each.seen_by(each.chains(faults), each.readings, part).phi for each, part in zip(rows, parts, strict=True)
         ]
         rows = [each.faulty(real, faults, values, phi) for each, phi in zip(rows, phis, strict=True)]
-        rows = [_settled(each, model, true, part, real, e) for each, part, e in zip(rows, parts, errors, strict=True)]
-    return rows, causes, model, true, parts
+        rows = [
+            _with_settled_readings(each, model, theta, part, real, e)
+            for each, part, e in zip(rows, parts, errors, strict=True)
+        ]
+    return rows, causes, model, theta, parts
 
 
 def _places_seen(model: Model, rows: Sequence[Rows]) -> dict[str, np.ndarray]:
@@ -449,12 +470,12 @@ def _places_seen(model: Model, rows: Sequence[Rows]) -> dict[str, np.ndarray]:
     gravity, tables = np.atleast_2d(model.around.gravity)[0], []
     for each in rows:
         chains = each.chains(model)
-        there = each.seen_by(chains, each.readings)
-        tables.append(chains.sight_columns(each.readings, gravity, there.tip, there.route))
+        of_paths = each.seen_by(chains, each.readings)
+        tables.append(chains.sight_columns(each.readings, gravity, of_paths.tip, of_paths.route))
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
 
 
-def _settled(
+def _with_settled_readings(
     rows: Rows,
     model: Model,
     true: np.ndarray,
@@ -462,16 +483,16 @@ def _settled(
     real: Mapping[str, Real],
     errors: np.ndarray,
 ) -> Rows:
-    """The rows with readings that bring their targets to where they must be, but for the errors."""
+    """The rows with readings that bring their targets where they must be, apart from the errors."""
     miss = rows.miss(real, errors * (rows.stroke == 0.0)[:, None])
     if miss is None:
         return rows
 
     chains = rows.chains(model)
 
-    def pose(readings: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        now = {name: values[some] for name, values in columns.items()}
-        return chains.poses(true, rows.seen_by(chains, readings, now, some))
+    def pose(readings: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        part = {name: values[indices] for name, values in columns.items()}
+        return chains.poses(true, rows.seen_by(chains, readings, part, indices))
 
     readings = settled(pose, miss, rows.readings, NEWTON)
     return replace(rows, readings=readings)
@@ -480,20 +501,20 @@ def _settled(
 def _read(
     rows: Rows, R: np.ndarray, p: np.ndarray, real: Mapping[str, Real], errors: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What the instrument reads, by the names of the columns."""
+    """Readings of the instrument, shape (n,) each, by the names of the columns."""
     kind = rows.kind
     if kind.tracked:
-        found = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
+        values = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
         if kind.oriented:
-            turned = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
-            found |= dict(zip(QUATERNION, turned.as_quat(canonical=True).T, strict=True))
-        return found
+            turn = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
+            values |= dict(zip(QUATERNION, turn.as_quat(canonical=True).T, strict=True))
+        return values
     if kind.level:
         down = np.einsum("nji,j->ni", R, DOWN)
         side = np.cross(down, np.eye(3)[np.argmin(np.abs(down), axis=1)])
         side /= np.linalg.norm(side, axis=1, keepdims=True)
-        off = errors[:, :1] * side + errors[:, 1:] * np.cross(down, side)
-        return dict(zip(kind.read, (down + off).T, strict=True))
+        deviation = errors[:, :1] * side + errors[:, 1:] * np.cross(down, side)
+        return dict(zip(kind.read, (down + deviation).T, strict=True))
     if kind.joins or (kind.gauges and not rows.stroke.any()):
         return {}
     nothing = np.zeros((len(p), len(kind.read)))
@@ -508,24 +529,24 @@ def _table(
     robot: Robot,
     rows: Rows,
     real: Mapping[str, Real],
-    read: Mapping[str, np.ndarray],
+    values_read: Mapping[str, np.ndarray],
     columns: Mapping[str, np.ndarray],
 ) -> pd.DataFrame:
     """The table of a block, columns named as the campaign names them."""
     values: dict[str, np.ndarray] = dict(zip(robot.readings, rows.readings.T, strict=True))
     for role in labelled(rows.kind.name):
-        told = role.name != "board" and not (role.name == "camera" and block.camera is not None)
-        if told:
+        has_column = role.name != "board" and not (role.name == "camera" and block.camera is not None)
+        if has_column:
             values[role.name] = rows.labels(role.name, real)
     if rows.kind.images:
         values[SHOT] = rows.shot + 1
-    elif len(_own(scenario, block)) > 1:
+    elif len(_labels_of_block(scenario, block)) > 1:
         values[TARGET] = rows.target
-    values |= dict(read) | {name: columns[name] for name in columns_of(scenario, robot, scenario.truth.effects)}
+    values |= dict(values_read) | {name: columns[name] for name in columns_of(scenario, robot, scenario.truth.effects)}
     names = [block.columns.get(name, name) for name in values]
-    twice = sorted({name for name in names if names.count(name) > 1})
-    if twice:
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
         raise CampaignError(
-            f"{scenario.path}: {scenario.place(number)}: two columns would be called {twice[0]!r}: add `columns` to it"
+            f"{scenario.path}: {scenario.place(number)}: two columns would be called {repeated[0]!r}: add `columns` to it"
         )
     return pd.DataFrame(dict(zip(names, values.values(), strict=True)))

@@ -96,10 +96,10 @@ def columns_of(scenario: Scenario, robot: Robot, effects: Sequence[TrueEffect]) 
         robot: The chain.
         effects: Of the arm.
     """
-    needed = dict.fromkeys((*scenario.truth.covariates, *columns_needed(effects, robot)))
+    names = dict.fromkeys((*scenario.truth.covariates, *columns_needed(effects, robot)))
     if scenario.payload:
-        needed = {name: None for name in needed if name != PAYLOAD} | dict.fromkeys(scenario.masses)
-    return tuple(needed)
+        names = {name: None for name in names if name != PAYLOAD} | dict.fromkeys(scenario.masses)
+    return tuple(names)
 
 
 def _any_has(scenario: Scenario, key: str) -> bool:
@@ -108,9 +108,9 @@ def _any_has(scenario: Scenario, key: str) -> bool:
 
 
 def check_scenario(scenario: Scenario) -> None:
-    """Refuse what a campaign may ask for but a simulation cannot give."""
+    """Refuse keys that a campaign may have but a simulation cannot follow."""
     measurements, truth = scenario.measurements, scenario.truth
-    refused = {
+    refusals = {
         "truth.frames.targets": (
             measurements.traits.of_head and bool(truth.frames.targets),
             "`kind: camera_sonar` has its target at the tip; delete this key",
@@ -156,8 +156,8 @@ def check_scenario(scenario: Scenario) -> None:
             "stations are not simulated; delete `per: station`",
         ),
     }
-    for key, (asked, why) in refused.items():
-        if asked:
+    for key, (applies, why) in refusals.items():
+        if applies:
             raise CampaignError(f"{scenario.path}: {key}: {why}")
     if truth.outliers is not None and truth.noise == TrueNoise():
         raise CampaignError(

@@ -39,7 +39,7 @@ from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.regular_files import read_file
 from aridcal.system.reading.table_files import FIRST_LINE
 
-AT_ONCE = 20_000
+ROWS_AT_ONCE = 20_000
 """Rows that are simulated, and written, at once: a second's work between two words of progress."""
 
 
@@ -48,7 +48,7 @@ class Simulation:
     """A simulated campaign.
 
     Attributes:
-        scenario: What was asked for.
+        scenario: The machine and how it was measured.
         robot: The nominal chain, or several limbs.
         tables: Of each block, as they are written.
         parameters: True value of each constant that the scenario names, drawn or given; [m] or [rad].
@@ -56,7 +56,7 @@ class Simulation:
         causes: True effects, drawn or given.
         outliers: Which rows are grossly wrong, shape (N,) bool, those of one block after those of another.
         images: For `kind: camera_sonar`: JPEG files by their names.
-        real: What the rows refer to, by role.
+        real: Things that the rows refer to, by role.
     """
 
     scenario: Scenario
@@ -119,20 +119,20 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
 
     of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
     model = Model(robot, coefficients + of_effects, world, tip, around)
-    true = np.concatenate([theta, *(cause.values for cause in causes)])
+    theta_true = np.concatenate([theta, *(cause.values for cause in causes)])
     progress.at("moving the robot")
-    R, p = _moved(model, true, readings, depends, progress)
+    R, p = _true_poses(model, theta_true, readings, depends, progress)
 
     images: dict[str, bytes] = {}
     if head is None or optics is None:
-        position, rotation, wrong = _measured(truth, R, p, noise, outliers)
+        position, rotation, outlier_rows = _with_noise(truth, R, p, noise, outliers)
         table = _table(scenario, robot, readings, columns, position, rotation)
     else:
-        real, of_head = true_head(scenario, robot, head, chance)
+        real_head, of_head = true_head(scenario, robot, head, chance)
         causes = [*causes, *of_head]
-        wrong = np.zeros(truth.n, dtype=bool)
+        outlier_rows = np.zeros(truth.n, dtype=bool)
         progress.at("taking the shots")
-        shots, images = photographed(head, optics, real, R, p, noise, progress)
+        shots, images = photographed(head, optics, real_head, R, p, noise, progress)
         joints = dict(zip(robot.readings, readings.T, strict=True))
         table = pd.DataFrame(joints | columns).assign(**shots)
     return Simulation(
@@ -142,7 +142,7 @@ def simulate(scenario: Scenario, progress: Progress = SILENT) -> Simulation:
         parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
         frames=frames,
         causes=tuple(causes),
-        outliers=wrong,
+        outliers=outlier_rows,
         images=images,
     )
 
@@ -161,27 +161,27 @@ def _among_things(
     machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
     names = columns_of(scenario, robot, truth.effects)
     progress.at("moving the robot")
-    found = measured(scenario, machine, surroundings(scenario, frames, names), streams)
+    result = measured(scenario, machine, surroundings(scenario, frames, names), streams)
     tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
     return Simulation(
         scenario=scenario,
         robot=robot,
-        tables=found.tables,
+        tables=result.tables,
         parameters=dict(zip(truth.parameters, theta.tolist(), strict=True)),
         frames={"world_base": frames["world_base"], **tips},
-        causes=found.causes,
-        outliers=np.concatenate(found.outliers),
-        real=found.real,
+        causes=result.causes,
+        outliers=np.concatenate(result.outliers),
+        real=result.real,
     )
 
 
-def _moved(
+def _true_poses(
     model: Model, theta: np.ndarray, readings: np.ndarray, depends: Mapping[str, np.ndarray], progress: Progress
 ) -> tuple[np.ndarray, np.ndarray]:
     """True rotations, shape (n, 3, 3), and positions, shape (n, 3), [m], a stretch of rows at a time."""
     R, p = np.empty((len(readings), 3, 3)), np.empty((len(readings), 3))
-    for first in progress.through(range(0, len(readings), AT_ONCE), len(readings), "rows", AT_ONCE):
-        part = slice(first, first + AT_ONCE)
+    for first in progress.through(range(0, len(readings), ROWS_AT_ONCE), len(readings), "rows", ROWS_AT_ONCE):
+        part = slice(first, first + ROWS_AT_ONCE)
         R[part], p[part] = model.poses(theta, model.rows(readings[part], {k: v[part] for k, v in depends.items()}))
     return R, p
 
@@ -191,7 +191,7 @@ def _streams(seed: int) -> list[np.random.Generator]:
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(6)]
 
 
-def _measured(
+def _with_noise(
     truth: Truth, R: np.ndarray, p: np.ndarray, noise: np.random.Generator, outliers: np.random.Generator
 ) -> tuple[np.ndarray, Rotation, np.ndarray]:
     """Poses as an instrument measures them: noise in world axes, some rows off by so many sigmas in a random direction.
@@ -206,17 +206,17 @@ def _measured(
     Returns:
         Positions, shape (n, 3), [m]; rotations exp(noise) R; and which rows are wrong, shape (n,) bool.
     """
-    wrong = np.zeros(truth.n, dtype=bool)
+    outlier_rows = np.zeros(truth.n, dtype=bool)
     in_sigmas = noise.standard_normal((truth.n, 6))
     if truth.outliers is not None:
         count = round(truth.outliers.share * truth.n)
-        wrong[outliers.permutation(truth.n)[:count]] = True
+        outlier_rows[outliers.permutation(truth.n)[:count]] = True
         direction = outliers.standard_normal((truth.n, 2, 3))
         direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-        in_sigmas[wrong] += truth.outliers.size * direction[wrong].reshape(-1, 6)
+        in_sigmas[outlier_rows] += truth.outliers.size * direction[outlier_rows].reshape(-1, 6)
     position = p + truth.noise.position * in_sigmas[:, :3]
     turn = Rotation.from_rotvec(truth.noise.rotation * in_sigmas[:, 3:])
-    return position, turn * Rotation.from_matrix(R, assume_valid=True), wrong
+    return position, turn * Rotation.from_matrix(R, assume_valid=True), outlier_rows
 
 
 def named_constants(robot: Robot, names: Iterable[str], path: Path) -> tuple[Coefficient, ...]:
@@ -248,9 +248,9 @@ def true_frames(scenario: Scenario, head: HeadSettings | None = None) -> dict[st
         scenario: Its truth, and the campaign's own frames where the truth says nothing.
         head: With a measuring head, the camera is the target.
     """
-    truth, given = scenario.truth.frames, scenario.frames
-    base = truth.world_base or given.world_base
-    target = (truth.tip_target or given.tip_target) if head is None else (truth.tip_camera or head.tip_camera)
+    truth, stated = scenario.truth.frames, scenario.frames
+    base = truth.world_base or stated.world_base
+    target = (truth.tip_target or stated.tip_target) if head is None else (truth.tip_camera or head.tip_camera)
     frames = {}
     for name, frame in (("world_base", base), ("tip_target", target)):
         rotation = pin.rpy.rpyToMatrix(*frame.rpy)
@@ -289,15 +289,16 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
         (folder / robot.path.name).write_bytes(robot.urdf)
     for name, place in scenario.robot.packages.items():
         keys["robot"]["packages"][name] = Path(os.path.relpath(place, home)).as_posix()
-    known, named = scenario.instruments, keys.get("instruments", {})
-    if "points" in named and set(named["points"]) == {"file"}:
-        named["points"] = named["points"]["file"]
-    if len(named.get("markers", ())) == 1:
-        named["markers"] = named["markers"][0]
-    boards = named.get("markers", {})
-    parts = [(known.points.file, named if isinstance(named.get("points"), str) else named.get("points", {}))]
-    parts += zip((board.file for board in known.markers), boards if isinstance(boards, list) else [boards], strict=True)
-    for (path, part), key in zip(parts, ["points" if part is named else "file" for _, part in parts], strict=True):
+    instruments, entry = scenario.instruments, keys.get("instruments", {})
+    if "points" in entry and set(entry["points"]) == {"file"}:
+        entry["points"] = entry["points"]["file"]
+    if len(entry.get("markers", ())) == 1:
+        entry["markers"] = entry["markers"][0]
+    boards = entry.get("markers", {})
+    parts = [(instruments.points.file, entry if isinstance(entry.get("points"), str) else entry.get("points", {}))]
+    files = (board.file for board in instruments.markers)
+    parts += zip(files, boards if isinstance(boards, list) else [boards], strict=True)
+    for (path, part), key in zip(parts, ["points" if part is entry else "file" for _, part in parts], strict=True):
         if path is not None:
             part[key] = Path(os.path.relpath(path, home)).as_posix() if beside else path.name
             if not beside:
@@ -309,8 +310,8 @@ def write_campaign(simulation: Simulation, folder: Path, home: Path, progress: P
             name = f"measurements_{number}.csv" if scenario.listed else "measurements.csv"
             blocks[number - 1] = {"file": name} | block
             with (folder / name).open("w", encoding="utf-8", newline="") as file:
-                for first in progress.through(range(0, len(table), AT_ONCE), len(table), "rows", AT_ONCE):
-                    table.iloc[first : first + AT_ONCE].to_csv(file, index=False, header=first == 0)
+                for first in progress.through(range(0, len(table), ROWS_AT_ONCE), len(table), "rows", ROWS_AT_ONCE):
+                    table.iloc[first : first + ROWS_AT_ONCE].to_csv(file, index=False, header=first == 0)
         else:
             block["head"] = _write_shots(simulation, scenario.measurements.head, folder, home)
     keys["measurements"] = blocks if scenario.listed else blocks[0]
@@ -379,14 +380,14 @@ def _table(
     """The table of measurements, columns named as the campaign names them."""
     settings = scenario.measurements
     joints = dict(zip(robot.readings, readings.T, strict=True))
-    measured = dict(zip(POSITION, position.T, strict=True))
+    quantities = dict(zip(POSITION, position.T, strict=True))
     if settings.traits.oriented:
-        measured |= dict(zip(QUATERNION, rotation.as_quat(canonical=True).T, strict=True))
-    measured |= covariates
+        quantities |= dict(zip(QUATERNION, rotation.as_quat(canonical=True).T, strict=True))
+    quantities |= covariates
     columns = [settings.columns.get(name, name) for name in joints]
-    columns += [column_of(name, settings, joints) for name in measured]
-    twice = sorted({name for name in columns if columns.count(name) > 1})
-    if twice:
-        raise CampaignError(f"{scenario.path}: two columns would be called {twice[0]!r}: add `measurements.columns`")
-    values = (*joints.values(), *measured.values())
+    columns += [column_of(name, settings, joints) for name in quantities]
+    repeated = sorted({name for name in columns if columns.count(name) > 1})
+    if repeated:
+        raise CampaignError(f"{scenario.path}: two columns would be called {repeated[0]!r}: add `measurements.columns`")
+    values = (*joints.values(), *quantities.values())
     return pd.DataFrame(dict(zip(columns, values, strict=True)))

@@ -27,7 +27,7 @@ from aridcal.system.errors import CampaignError, nearest
 from aridcal.system.reading.table_files import FIRST_LINE
 
 # From one row to the next, [s].
-PERIOD = 30.0
+ROW_PERIOD = 30.0
 
 # Temperature at the start and how far it wanders, [deg C].
 WARMTH, WANDERS = 20.0, 6.0
@@ -36,10 +36,10 @@ WARMTH, WANDERS = 20.0, 6.0
 PAYLOADS = (0.0, 1.0, 2.5, 5.0)
 
 # Rows are measured in so many stretches with a payload each.
-STRETCHES = 24
+PAYLOAD_STRETCHES = 24
 
 # What a curve that is drawn is like: alike over three knots.
-DRAWN = Kernel(3.0)
+CURVE_KERNEL = Kernel(3.0)
 
 
 def _bell(distance: np.ndarray) -> np.ndarray:
@@ -100,9 +100,9 @@ class TrueEffect(EffectDeclaration):
                 raise ValueError(f"form: belongs to {', '.join(others)} and {last}; {self.kind} has its own")
             if not kind.named and (self.motion is None or self.covariates is None):
                 raise ValueError(f"an {self.kind} effect with a `form` needs `motion` and `covariates`")
-            wanted = FUNCTIONS[self.form][0]
-            if len(self.covariates or ("",)) != wanted:
-                raise ValueError(f"form: {self.form} is a function of {wanted} covariates")
+            count = FUNCTIONS[self.form][0]
+            if len(self.covariates or ("",)) != count:
+                raise ValueError(f"form: {self.form} is a function of {count} covariates")
         return self
 
 
@@ -111,8 +111,8 @@ class Cause:
     """A true effect made ready for the model.
 
     Attributes:
-        effect: Its coefficients.
-        values: Of each, [m] or [rad] per unit of the basis, shape (K,).
+        effect: With K coefficients.
+        values: Of the coefficients, [m] or [rad] per unit of the basis, shape (K,).
         ranges: Lowest and highest value of each covariate of a named function.
     """
 
@@ -123,16 +123,16 @@ class Cause:
     def document(self) -> dict[str, Any]:
         """As plain data for ``truth.json``."""
         e = self.effect
-        told: dict[str, Any] = {"kind": e.kind, "where": e.where}
+        entries: dict[str, Any] = {"kind": e.kind, "where": e.where}
         extra = {"with": e.with_, "by": e.by, "order": list(e.order) or None, "range": self.ranges or None}
-        told |= {key: value for key, value in extra.items() if value is not None}
+        entries |= {key: value for key, value in extra.items() if value is not None}
         if e.at is not None:
             key = "row" if e.at.of[0] == ROW_ORDER else "time"
-            told["at"] = {key: math.ceil(e.at.numbers[0]) if key == "row" else e.at.numbers[0]}
-        told |= {"motion": list(e.motion), "covariates": [name for name in e.covariates if name != ROW_ORDER]}
+            entries["at"] = {key: math.ceil(e.at.numbers[0]) if key == "row" else e.at.numbers[0]}
+        entries |= {"motion": list(e.motion), "covariates": [name for name in e.covariates if name != ROW_ORDER]}
         values = zip(e.coefficients, self.values.tolist(), strict=True)
-        told["coefficients"] = [{"name": c.name, "value": value} for c, value in values]
-        return told
+        entries["coefficients"] = [{"name": c.name, "value": value} for c, value in values]
+        return entries
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ class Machine:
 
     Attributes:
         robot: The nominal chain.
-        constants: Those that the scenario names.
-        theta: Their true values.
+        constants: Those that the scenario names, K of them.
+        theta: Their true values, shape (K,).
         world: True T_world_base.
         tips: True T_tip_target by the targets' labels.
     """
@@ -166,7 +166,7 @@ class Machine:
         return made, np.concatenate([self.theta, values])
 
     def faults(self, causes: Sequence[Cause], around: Surroundings) -> tuple[Model, np.ndarray]:
-        """What moves things or the machine beside its constants, and how much."""
+        """A model with the effects alone, without the constants, and their true coefficients."""
         of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
         frames = ((None, self.world),), tuple(self.tips.items())
         values = np.concatenate([np.zeros(0), *(cause.values for cause in causes)])
@@ -189,11 +189,11 @@ def draw_columns(names: Sequence[str], robot: Robot, readings: np.ndarray, seed:
         readings: Shape (N, columns), in the order of measuring.
         seed: Fixes everything.
     """
-    drawn = {}
+    columns = {}
     for name in names:
         rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-        drawn[name] = _draw_column(name, robot, readings, rng)
-    return drawn
+        columns[name] = _draw_column(name, robot, readings, rng)
+    return columns
 
 
 def _draw_column(name: str, robot: Robot, readings: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -202,11 +202,11 @@ def _draw_column(name: str, robot: Robot, readings: np.ndarray, rng: np.random.G
     walk = np.cumsum(rng.standard_normal(n)) / np.sqrt(n)
     joint = name.removesuffix("_direction")
     if name == "time":
-        return np.cumsum(PERIOD * rng.uniform(0.7, 1.3, n))
+        return np.cumsum(ROW_PERIOD * rng.uniform(0.7, 1.3, n))
     if name == "temperature" or name.startswith("temperature_"):
         return WARMTH + WANDERS * walk
     if name == PAYLOAD or name.startswith(f"{PAYLOAD}_"):
-        stretch = np.arange(n) * min(STRETCHES, n) // n
+        stretch = np.arange(n) * min(PAYLOAD_STRETCHES, n) // n
         return rng.choice(PAYLOADS, int(stretch.max()) + 1)[stretch]
     if joint != name and joint in robot.names:
         q = robot.positions(readings)[:, robot.names.index(joint)]
@@ -251,8 +251,8 @@ def make_causes(
     """
     world = np.zeros(len(readings), dtype=int)
     order = np.arange(len(readings)) + float(FIRST_LINE) if lines is None else lines
-    known = {**columns, ROW_ORDER: order}
-    table = covariate_table(robot, readings, known, around, world, set(LOADS))
+    depends = {**columns, ROW_ORDER: order}
+    table = covariate_table(robot, readings, depends, around, world, set(LOADS))
     at_tip = world if tip is None else tip
     if places is None:
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
@@ -267,10 +267,10 @@ def make_causes(
         else:
             names = e.covariates or (e.by or e.where,)
             column = f"{e.form}({','.join(names)})"
-            known[column], ranges = _function(e, names, table, place)
+            depends[column], ranges = _function(e, names, table, place)
             effect = _functional(e, column, robot, place)
         causes.append(Cause(effect, values(e, effect, rng, place), ranges))
-    return causes, known
+    return causes, depends
 
 
 def _function(
@@ -289,16 +289,16 @@ def _function(
 
 
 def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
-    known = (*robot.names, "world_base", "tip_target")
-    if e.where not in known:
-        raise CampaignError(f"{place}: effects: no place {e.where!r}{nearest(e.where, known)}")
+    places = (*robot.names, "world_base", "tip_target")
+    if e.where not in places:
+        raise CampaignError(f"{place}: effects: no place {e.where!r}{nearest(e.where, places)}")
     frame = e.where in ("world_base", "tip_target")
-    own = tuple(c for c in KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
-    motion = e.motion or own
+    components = tuple(c for c in KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
+    motion = e.motion or components
     for component in motion:
-        if component not in own:
+        if component not in components:
             raise CampaignError(
-                f"{place}: effects: {e.kind} at {e.where} has no motion {component!r}: {', '.join(own)}"
+                f"{place}: effects: {e.kind} at {e.where} has no motion {component!r}: {', '.join(components)}"
             )
     basis = Basis("linear", (column,), (0.0,))
     return Effect(e.kind, e.where, tuple(Coefficient(e.where, c, basis) for c in motion))
@@ -310,18 +310,18 @@ def values(e: TrueEffect, effect: Effect, rng: np.random.Generator, place: str) 
     Raises:
         CampaignError: it has another number of coefficients.
     """
-    wanted, count = e.coefficients, len(effect.coefficients)
-    if len(wanted) == 1 and wanted[0].std > 0.0:
-        drawn = rng.standard_normal(count)
+    parameters, count = e.coefficients, len(effect.coefficients)
+    if len(parameters) == 1 and parameters[0].std > 0.0:
+        samples = rng.standard_normal(count)
         for component in effect.motion if effect.smooth else ():
-            own = np.array([c.component == component for c in effect.coefficients])
-            function = replace(effect, coefficients=tuple(np.array(effect.coefficients, dtype=object)[own]))
-            drawn[own] = samples_root(function.shape, DRAWN) @ drawn[own]
-        return wanted[0].value + wanted[0].std * drawn
-    if len(wanted) != count:
+            of_component = np.array([c.component == component for c in effect.coefficients])
+            function = replace(effect, coefficients=tuple(np.array(effect.coefficients, dtype=object)[of_component]))
+            samples[of_component] = samples_root(function.shape, CURVE_KERNEL) @ samples[of_component]
+        return parameters[0].value + parameters[0].std * samples
+    if len(parameters) != count:
         names = ", ".join(c.name for c in effect.coefficients[:8]) + (", ..." if count > 8 else "")
         raise CampaignError(
-            f"{place}: effects: {effect.label} has {count} coefficients, not {len(wanted)}: {names}; give them all, "
+            f"{place}: effects: {effect.label} has {count} coefficients, not {len(parameters)}: {names}; give them all, "
             "or one {std} to draw them, or say `motion` or `order` for fewer"
         )
-    return np.array([p.value + p.std * rng.standard_normal() for p in wanted])
+    return np.array([p.value + p.std * rng.standard_normal() for p in parameters])

@@ -25,19 +25,19 @@ FACING = np.diag([1.0, -1.0, -1.0])
 RANGE_OF_TIP, RANGE_OF_WORLD = 0.4, 0.9
 """[m] from a camera on the tip, and from one beside the arm, to the board before it that is drawn."""
 
-AROUND = np.array([0.4, 0.3, 0.1])
+MARKER_BOX = np.array([0.4, 0.3, 0.1])
 """[m] sides of the box that markers which lie about are drawn in; a third of that around a link."""
 
-AWAY = (1.2, 1.8)
+ANCHOR_DISTANCES = (1.2, 1.8)
 """How far from the middle of the workspace anchors are drawn, in its RMS radius."""
 
-DIRECTIONS = 500
+DIRECTIONS_TRIED = 500
 """In which a point is sought at a known distance from another: the one that leads nearest to where the arm reaches is taken."""
 
-OFFSETS = (0.0, 0.1)
+WIRE_OFFSETS = (0.0, 0.1)
 """[m] of a wire that does not begin at its anchor, as drawn."""
 
-SCALES = 1e-3
+SCALE_SIGMA = 1e-3
 """1-sigma of a drawn scale that is to be identified."""
 
 
@@ -98,11 +98,11 @@ class Real:
     states: np.ndarray
 
 
-def _labels(given: int | Mapping[str, object], known: Sequence[str], word: str) -> tuple[str, ...]:
-    """Labels of what is given or known; of what is drawn, if that is nothing."""
-    if isinstance(given, Mapping):
-        return tuple(dict.fromkeys((*known, *given)))
-    return tuple(known) or tuple(f"{word}_{k + 1}" for k in range(given))
+def _labels(stated: int | Mapping[str, object], known: Sequence[str], word: str) -> tuple[str, ...]:
+    """Labels of the things that are given or known; if there are none, of those that are drawn."""
+    if isinstance(stated, Mapping):
+        return tuple(dict.fromkeys((*known, *stated)))
+    return tuple(known) or tuple(f"{word}_{k + 1}" for k in range(stated))
 
 
 def true_points(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
@@ -114,55 +114,55 @@ def true_points(things: TrueThings, known: Known, around: Around, rng: np.random
         around: Where they may be.
         rng: Draws the others.
     """
-    said = things.points if isinstance(things.points, dict) else {}
+    given_points = things.points if isinstance(things.points, dict) else {}
     lengths = [each for each in known.settings.lengths if not known.markers]
-    tied = [name for each in lengths for name in each.between] if not said else []
+    at_ends = [name for each in lengths for name in each.between] if not given_points else []
     names = list(_labels(things.points, (*known.points,), "point"))
     if not isinstance(things.points, dict) and not known.points:
-        names = list(dict.fromkeys((*tied, *names)))[: max(len(dict.fromkeys(tied)), things.points)]
-    found: dict[str, np.ndarray] = {}
+        names = list(dict.fromkeys((*at_ends, *names)))[: max(len(dict.fromkeys(at_ends)), things.points)]
+    points: dict[str, np.ndarray] = {}
     for name in names:
-        if name in said:
-            found[name] = np.array(said[name])
+        if name in given_points:
+            points[name] = np.array(given_points[name])
         elif name in known.points:
             std = known.points[name].std
-            found[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
+            points[name] = known.points[name].xyz + (std * rng.standard_normal(3) if np.isfinite(std) else 0.0)
         else:
-            found[name] = _apart(name, lengths, found, around(known.carrier("point", name)), rng)
-    return Real(tuple(found), np.array([*found.values()]).reshape(-1, 3))
+            points[name] = _apart(name, lengths, points, around(known.carrier("point", name)), rng)
+    return Real(tuple(points), np.array([*points.values()]).reshape(-1, 3))
 
 
 def _apart(
     name: str,
     lengths: Sequence[LengthSettings],
-    found: Mapping[str, np.ndarray],
-    reached: np.ndarray,
+    points: Mapping[str, np.ndarray],
+    reachable: np.ndarray,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """A place that the arm reaches, so far from one that is there already as a known length says."""
+    """A place that the arm reaches, at the known length from a point that is there already, if there is one."""
     for each in lengths:
-        other = next((end for end in each.between if end != name and end in found), None)
+        other = next((end for end in each.between if end != name and end in points), None)
         if name in each.between and other is not None:
-            way = rng.standard_normal((DIRECTIONS, 3))
+            way = rng.standard_normal((DIRECTIONS_TRIED, 3))
             way *= (each.length + each.std * rng.standard_normal()) / np.linalg.norm(way, axis=1, keepdims=True)
-            off = np.linalg.norm(found[other] + way[:, None] - reached, axis=2).min(axis=1)
-            return np.asarray(found[other] + way[np.argmin(off)])
-    return np.asarray(reached[int(rng.integers(len(reached)))])
+            distance = np.linalg.norm(points[other] + way[:, None] - reachable, axis=2).min(axis=1)
+            return np.asarray(points[other] + way[np.argmin(distance)])
+    return np.asarray(reachable[int(rng.integers(len(reachable)))])
 
 
 def true_anchors(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
     """Anchors around the workspace; see :func:`true_points`."""
-    said = things.anchors if isinstance(things.anchors, dict) else {}
+    given_anchors = things.anchors if isinstance(things.anchors, dict) else {}
     names = _labels(things.anchors, (*known.settings.anchors,), "anchor")
     states = []
     for name in names:
-        reached = around(known.carrier("anchor", name))
-        middle = reached.mean(axis=0)
-        radius = float(np.sqrt(np.mean(np.sum((reached - middle) ** 2, axis=1))))
+        reachable = around(known.carrier("anchor", name))
+        middle = reachable.mean(axis=0)
+        radius = float(np.sqrt(np.mean(np.sum((reachable - middle) ** 2, axis=1))))
         direction = rng.standard_normal(3)
-        xyz = middle + radius * rng.uniform(*AWAY) * direction / np.linalg.norm(direction)
-        offset, scale = rng.uniform(*OFFSETS), 1.0 + SCALES * rng.standard_normal()
-        stated, true = known.settings.anchors.get(name), said.get(name, TrueAnchor())
+        xyz = middle + radius * rng.uniform(*ANCHOR_DISTANCES) * direction / np.linalg.norm(direction)
+        offset, scale = rng.uniform(*WIRE_OFFSETS), 1.0 + SCALE_SIGMA * rng.standard_normal()
+        stated, true = known.settings.anchors.get(name), given_anchors.get(name, TrueAnchor())
         if stated is None or "scale" not in stated.identify:
             scale = 1.0 if stated is None else stated.scale
         if stated is not None:
@@ -181,15 +181,15 @@ def true_anchors(things: TrueThings, known: Known, around: Around, rng: np.rando
 
 def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random.Generator) -> Real:
     """Planes through the workspace, those that are known to be perpendicular so; see :func:`true_points`."""
-    said = things.planes if isinstance(things.planes, dict) else {}
-    right = [pair.between for pair in known.settings.perpendicular]
-    declared = (*known.settings.planes, *(name for pair in right for name in pair))
-    found: dict[str, np.ndarray] = {}
+    given_planes = things.planes if isinstance(things.planes, dict) else {}
+    pairs = [pair.between for pair in known.settings.perpendicular]
+    declared = (*known.settings.planes, *(name for pair in pairs for name in pair))
+    planes: dict[str, np.ndarray] = {}
     for name in _labels(things.planes, tuple(dict.fromkeys(declared)), "plane"):
-        reached = around(known.carrier("plane", name))
-        normal, through = rng.standard_normal(3), reached[int(rng.integers(len(reached)))]
-        stated, true = known.settings.planes.get(name), said.get(name)
-        others = [found[end][:3] for pair in right if name in pair for end in pair if end in found]
+        reachable = around(known.carrier("plane", name))
+        normal, through = rng.standard_normal(3), reachable[int(rng.integers(len(reachable)))]
+        stated, true = known.settings.planes.get(name), given_planes.get(name)
+        others = [planes[end][:3] for pair in pairs if name in pair for end in pair if end in planes]
         if others:
             U, size, _ = np.linalg.svd(np.array(others).T)
             across = U[:, int((size > 1e-9).sum()) :]
@@ -202,19 +202,19 @@ def true_planes(things: TrueThings, known: Known, around: Around, rng: np.random
         offset = float(normal @ through)
         if stated is not None and stated.offset is not None:
             offset = stated.offset
-        found[name] = np.array([*normal, offset if true is None else true.offset])
-    return Real(tuple(found), np.array([*found.values()]))
+        planes[name] = np.array([*normal, offset if true is None else true.offset])
+    return Real(tuple(planes), np.array([*planes.values()]))
 
 
-def true_grasps(name: str, count: int, held: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> Real:
+def true_grasps(name: str, count: int, draw_poses: Callable[[int], tuple[np.ndarray, np.ndarray]]) -> Real:
     """Poses of a link in the frame of another, where these hold one body.
 
     Args:
         name: What their labels begin with.
         count: How many.
-        held: Gives so many poses that the two can have: (n, 3, 3) and (n, 3), [m].
+        draw_poses: Gives so many poses that the two can have: (n, 3, 3) and (n, 3), [m].
     """
-    R, p = held(count)
+    R, p = draw_poses(count)
     return Real(tuple(f"{name}_{k + 1}" for k in range(count)), np.hstack([p, R.reshape(-1, 9)]))
 
 
@@ -226,7 +226,7 @@ class RealCamera:
         place: In the frame of what carries it, the tip's link or the world, shape (4, 4), [m].
         lens: Its intrinsics and distortion, shape (9,), [px] and [1].
         on_tip: Whether the arm carries it.
-        given: Whether anybody says where it is; if not, ``place`` is the origin.
+        given: Whether scenario or campaign say where it is; if not, ``place`` is the origin.
     """
 
     place: np.ndarray
@@ -260,17 +260,17 @@ def real_camera(known: Known, name: str, true: TrueCamera) -> RealCamera:
 
 
 def documents(real: Mapping[str, Real]) -> dict[str, Any]:
-    """What rows refer to, by role and name."""
-    found: dict[str, Any] = {}
+    """Things that rows refer to as plain data, by role and name."""
+    document: dict[str, Any] = {}
     for role, things in real.items():
-        found[role] = {
+        document[role] = {
             name: _thing(role, state.tolist()) for name, state in zip(things.names, things.states, strict=True)
         }
-    return found
+    return document
 
 
 def _thing(role: str, state: list[float]) -> dict[str, Any]:
-    """One of them, in the words of a campaign."""
+    """One thing, in the keys of a campaign."""
     if role == "plane":
         return {"normal": state[:3], "offset": state[3]}
     place: dict[str, Any] = {"xyz": state[:3]}

@@ -31,19 +31,19 @@ RANGE, TILT, ASIDE = (0.20, 0.40), np.radians(10.0), 1.2 * INCH
 TILT_SLACK, RANGE_SLACK = 0.04, (0.02, 0.05)
 
 # Of the square's own fiducials in view: two of six may be cut off.
-FEWEST = 4
+FEWEST_FIDUCIALS = 4
 
 # Postures to start from: so many that one is near any view that can be reached.
-POOL = 4000
+POSTURES_IN_POOL = 4000
 
 # Rounds in which views that failed are drawn anew; after half of them, of squares that did not fail.
-TRIES = 40
+DRAWING_ROUNDS = 40
 
 # Of Gauss-Newton towards a view.
-STEPS = 25
+APPROACH_STEPS = 25
 
 # [rad]: the most that a joint turns in one step, as far as the linear model holds.
-TURN = 0.3
+LARGEST_STEP = 0.3
 
 # [m²] of the normal equations: less than any joint that moves the camera, enough for one that does not.
 DAMPING = 1e-6
@@ -53,7 +53,7 @@ DAMPING = 1e-6
 LEVER = 0.5
 
 # Share of each joint's range that is left free at either end.
-INSIDE = 0.01
+LIMIT_MARGIN_SHARE = 0.01
 
 
 def draw_views(
@@ -82,21 +82,21 @@ def draw_views(
     names = list(optics.squares)
     pool = _Pool.drawn(model, low, high, rng)
     readings = np.zeros((n, len(low)))
-    seen = np.array([names[k % len(names)] for k in range(n)])
-    todo = np.arange(n)
-    for attempt in range(TRIES):
-        if attempt > TRIES // 2:  # what cannot be reached is left out: another square takes its place
-            done = np.setdiff1d(np.arange(n), todo)
-            if len(done) == 0:
+    looked_at = np.array([names[k % len(names)] for k in range(n)])
+    missing = np.arange(n)
+    for attempt in range(DRAWING_ROUNDS):
+        if attempt > DRAWING_ROUNDS // 2:  # what cannot be reached is left out: another square takes its place
+            reached = np.setdiff1d(np.arange(n), missing)
+            if len(reached) == 0:
                 raise CampaignError(f"{place}: this arm brings the camera in front of none of the squares")
-            seen[todo] = rng.choice(seen[done], len(todo))
-        at, axis = _aims(optics, seen[todo], rng)
+            looked_at[missing] = rng.choice(looked_at[reached], len(missing))
+        at, axis = _aims(optics, looked_at[missing], rng)
         q = _approach(model, pool.nearest(at, axis), low, high, at, axis)
-        good = _good_views(model, q, optics, seen[todo], intrinsics)
-        readings[todo[good]] = q[good]
-        todo = todo[~good]
-        if len(todo) == 0:
-            return readings, seen
+        usable = _good_views(model, q, optics, looked_at[missing], intrinsics)
+        readings[missing[usable]] = q[usable]
+        missing = missing[~usable]
+        if len(missing) == 0:
+            return readings, looked_at
     raise CampaignError(f"{place}: this arm can hardly bring the camera in front of a square; move the squares")
 
 
@@ -105,7 +105,7 @@ def _inner_limits(model: Model) -> tuple[np.ndarray, np.ndarray]:
     limits = model.robot.limits
     low = np.clip(limits, -np.pi, None)[:, 0]
     high = np.where(np.isfinite(limits[:, 1]), limits[:, 1], np.pi)
-    inner = INSIDE * (high - low)
+    inner = LIMIT_MARGIN_SHARE * (high - low)
     return low + inner, high - inner
 
 
@@ -126,7 +126,7 @@ class _Pool:
     @classmethod
     def drawn(cls, model: Model, low: np.ndarray, high: np.ndarray, rng: np.random.Generator) -> _Pool:
         """Draw postures evenly between limits, (columns,)."""
-        q = rng.uniform(low, high, (POOL, len(low)))
+        q = rng.uniform(low, high, (POSTURES_IN_POOL, len(low)))
         R, p = model.poses(np.zeros(0), model.rows(q))
         return cls(q, p, R[:, :, 2])
 
@@ -140,9 +140,9 @@ class _Pool:
 def _good_views(model: Model, q: np.ndarray, optics: Optics, seen: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
     """Tell which postures (N, columns) look at their square (N,) from near enough to what is wanted of a view, (N,)."""
     R, p = model.poses(np.zeros(0), model.rows(q))
-    good = []
-    for turn, at, own in zip(R, p, seen, strict=True):
-        T_world_square = optics.squares[int(own)]
+    usable = []
+    for turn, at, index in zip(R, p, seen, strict=True):
+        T_world_square = optics.squares[int(index)]
         normal, middle = T_world_square[:3, 2], T_world_square[:3, 3]
         tilt = np.arccos(np.clip(-turn[:, 2] @ normal, -1, 1))
         distance = normal @ (at - middle)
@@ -150,8 +150,8 @@ def _good_views(model: Model, q: np.ndarray, optics: Optics, seen: np.ndarray, i
         T_world_camera = np.eye(4)
         T_world_camera[:3, :3], T_world_camera[:3, 3] = turn, at
         upright = bool(tilt < TILT + TILT_SLACK) and bool(in_range)
-        good.append(upright and optics.in_view(T_world_camera, int(own), intrinsics) >= FEWEST)
-    return np.array(good)
+        usable.append(upright and optics.in_view(T_world_camera, int(index), intrinsics) >= FEWEST_FIDUCIALS)
+    return np.array(usable)
 
 
 def _aims(optics: Optics, seen: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -196,7 +196,7 @@ def _approach(
     moving = model.with_coefficients(()).with_motions(model.own_motions)
     turning = np.array([kind != "prismatic" for kind in robot.kinds])
     still = np.zeros(len(robot.joints))
-    for _ in range(STEPS):
+    for _ in range(APPROACH_STEPS):
         R, p, by_joints = moving.jacobian(still, moving.rows(q))
         J = by_joints @ robot.factors
         z = R[:, :, 2]
@@ -206,7 +206,7 @@ def _approach(
         At = A.transpose(0, 2, 1)
         H = At @ A + DAMPING * np.eye(A.shape[2])
         step = np.linalg.solve(H, At @ e[:, :, None])[:, :, 0]
-        step = np.where(turning, np.clip(step, -TURN, TURN), step)
+        step = np.where(turning, np.clip(step, -LARGEST_STEP, LARGEST_STEP), step)
         q = np.clip(q + step, low, high)
     return q
 
@@ -250,8 +250,8 @@ def photographed(
     T[:, :3, :3], T[:, :3, 3] = R, p
     # The arm is not quite where it was sent: another square may be nearest the optical axis.
     square = np.array([optics.nearest(pose) for pose in T])
-    taken, ranges = photographs(T, square, optics, real, noise, progress)
-    images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(taken)}
+    photographs_taken, ranges = photographs(T, square, optics, real, noise, progress)
+    images = {f"images/{k + 1:03d}.jpg": image for k, image in enumerate(photographs_taken)}
     columns = dict(zip(range_columns(settings), ranges.T, strict=True))
     return {"image": list(images), "square": square, **columns}, images
 
@@ -269,10 +269,10 @@ def true_head(
     """
     head, place = head_of(settings), f"{scenario.path}: truth"
     phi, causes = head.phi.copy(), []
-    seen = Observed(robot, {}, (), held=head_things(head).held)
+    observed = Observed(robot, {}, (), held=head_things(head).held)
     for e in scenario.truth.effects:
         if is_of_head(e.kind):
-            effect = declared(seen, e, place)
+            effect = declared(observed, e, place)
             theta = values(e, effect, rng, place)
             causes.append(Cause(effect, theta, {}))
             for c, value in zip(effect.coefficients, theta.tolist(), strict=True):
