@@ -36,14 +36,18 @@ SEARCH_PAGE = DOCS / "how-the-search-works.md"
 THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
 DECIDING_ROOMS = ("engine/corrections", "engine/fit", "engine/search", "engine/trust")
 OTHER_DECIDERS = (
+    "engine/levels",
     "jobs/calibrate/gravity_direction",
     "jobs/calibrate/groups",
     "jobs/calibrate/pipeline",
+    "jobs/calibrate/verdict",
     "jobs/calibrate/job_inputs",
     "engine/rows/split",
     "engine/rows/repeats",
 )
 GEOMETRY = ("engine/robot/doty1992",)
+NOT_DECIDING = ("Work: ", "Drawn: ")
+"""How the reason of a constant begins that bounds the work, or what is drawn; any other has its row in the page."""
 
 
 def text_of(page: Path) -> str:
@@ -136,7 +140,8 @@ def constants_of(module: str) -> dict[str, str]:
             for name in ast.unparse(target).strip("()").split(", "):
                 constant = getattr(module_of(module), name)
                 first = constant[0] if isinstance(constant, tuple) and constant else constant
-                if name.isupper() and isinstance(first, int | float | np.ndarray | Kernel):
+                number = name.isupper() and isinstance(first, int | float | np.ndarray | Kernel)
+                if number and not reason.startswith(NOT_DECIDING):
                     found[name] = reason
     return found
 

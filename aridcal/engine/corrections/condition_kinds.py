@@ -24,7 +24,8 @@ STEPPED = 24
 """Configurations of a thing from which a step of it is sought: twice the twelve that tell a step in its midst from outliers."""
 
 MOST_STEPPED = 24
-"""Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the evidence."""
+"""Work: Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the
+evidence."""
 
 
 def _thermal(rows: Observed) -> Iterator[Effect]:

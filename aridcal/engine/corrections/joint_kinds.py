@@ -10,6 +10,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed, bumps, middle, slope, turns
 from aridcal.engine.corrections.loads import bearing_components
+from aridcal.engine.levels import SLIGHT
 from aridcal.engine.robot.chain import Joint
 
 ORDERS = (1.0, 2.0, 3.0, 4.0)
@@ -32,9 +33,6 @@ MAP_KNOTS = 72
 
 RAIL_KNOTS = 16
 """Of a rail: bends as short as an eighth of its travel."""
-
-LEAST_MOMENT = 1e-3
-"""A bearing that never carries more than this tilts under nothing, [N m]."""
 
 ACROSS = ("r1", "r2", "t1", "t2")
 """Motions of an axis: it tilts or it runs out."""
@@ -95,7 +93,7 @@ def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
         together: list[Coefficient] = []
         for component in bearing_components(j.kind):
             load = f"{j.name}.gravity_moment_{component}"
-            if load not in rows.table or not np.any(np.abs(rows.table[load]) > LEAST_MOMENT):
+            if load not in rows.table or not np.any(np.abs(rows.table[load]) > SLIGHT):
                 continue
             tilts = [slope(j.name, component, load)]
             if travels:

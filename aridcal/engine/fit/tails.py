@@ -16,14 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
+from aridcal.engine.levels import STRONG
+from aridcal.engine.numerics import STEPS
+
 FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
-"""Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
-
-GAIN = 3.0
-"""Logarithm of the likelihood that tails must gain: of normal noise 0.7 % do (half of chi-square with one degree of freedom)."""
-
-STEPS = 60
-"""Of the scale's iteration. Each leaves five sixths of what is left at the most (Cauchy's in three numbers): in all 2e-5."""
+"""Work: Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
 
 FEWEST = 20
 """Rows below which nothing is said of tails: of one row in twenty chance makes them."""
@@ -76,7 +73,7 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         return None
     mean = float(np.mean(squares)) / size
     normal = float(np.sum(log_density(squares / mean, size, np.inf))) - 0.5 * size * len(squares) * np.log(mean)
-    best, found = normal + GAIN, None
+    best, found = normal + STRONG, None
     for freedom in FREEDOMS:
         variance = middle / size
         for _ in range(STEPS):

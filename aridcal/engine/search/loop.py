@@ -9,17 +9,19 @@ import numpy as np
 from aridcal.engine.corrections.loads import PAYLOAD, Payload, Surroundings, is_load
 from aridcal.engine.fit.least_squares import PLENTY, Fit
 from aridcal.engine.fit.noise import independent_share
-from aridcal.engine.fit.normal_equations import RIDGE, accumulate, solve
+from aridcal.engine.fit.normal_equations import accumulate, solve
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import DOWN, Question
 from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.levels import BLOCKS, PLAINLY
 from aridcal.engine.model.declared_noise import with_stated_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
+from aridcal.engine.numerics import RIDGE, ROUNDS
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
@@ -29,14 +31,12 @@ from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
 
 CLEARER = 1.2
-"""Times as much or as little as before that a row must count for, once effects are found, for another search: evidence does."""
-
-WEIGHED = 3
-"""Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
+"""Work: Times as much or as little as before that a row must count for, once effects are found, for another search: evidence
+does."""
 
 HANGS = 1e-4
-"""[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
-0.1 mm of some 100 mm change a load by a thousandth."""
+"""Work: [m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was
+hung: 0.1 mm of some 100 mm change a load by a thousandth."""
 
 KEPT_NOMINAL = (
     "the nominal robot is kept: fitted to these {} configurations, constants and effects do not predict held-back ones better. "
@@ -44,12 +44,6 @@ KEPT_NOMINAL = (
 )
 """What is said where neither constants nor effects are worth their freedom."""
 
-
-BLOCKS = 10
-"""Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""
-
-SURE = 2.0
-"""Standard errors by which the larger model must be better: one (Breiman and others 1984) lets noise pass once in six times."""
 
 LEAST_FREEDOM = 0.67
 """Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
@@ -107,7 +101,7 @@ def calibrated_arm(
         return _around(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
-    for _ in range(WEIGHED if bodies == 1 else 0):
+    for _ in range(ROUNDS if bodies == 1 else 0):
         share = _share(rows, arm.diagnosed.fit)
         if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
             break
@@ -262,7 +256,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
     left = np.stack([np.bincount(part.repeats.configuration, (own / unit).sum(axis=1)) for own in squares])
     gain = (left[0] - left[1]) / np.maximum(left.sum(axis=0), np.finfo(float).tiny)
-    return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
+    return float(gain.sum()) > PLAINLY * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
 def _squares(fit: Fit, data: Dataset) -> np.ndarray:

@@ -15,14 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
-from aridcal.engine.fit.flags import FLOOR
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import Repeats
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import moved_by
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.levels import FEWEST_TOGETHER
+from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.change_points import SIDE
 from aridcal.system.progress import SILENT, Progress
@@ -39,27 +39,24 @@ NEIGHBOURS = 4
 FEWEST = 16
 """Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
 
-FEWEST_OF_A_THING = 5
-"""Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
-
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
 SHUFFLES = 400
-"""Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
+"""Work: Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
 TOGETHER = 2**17
-"""Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
+"""Work: Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
 
 ASKED = 10_000
-"""Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
+"""Work: Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
 
 STRETCHES = 20
-"""Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these what
-changes slowly."""
+"""Work: Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these
+what changes slowly."""
 
 FELT = 1e-9
-"""Share of its largest lever below which a joint moves the target in none of a row's numbers."""
+"""Work: Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
 Question = Literal[
     "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
@@ -167,7 +164,7 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, own = np.bincount(thing), np.bincount(thing, square)
-    asked = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
+    asked = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= FEWEST)).tolist()
     if not asked:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it

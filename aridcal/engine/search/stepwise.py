@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.numerics import ROUNDS
 from aridcal.engine.search.ranking import is_small, with_effect, with_flags
 from aridcal.engine.search.scoring import Judgement, judge, score_of
 from aridcal.engine.search.set_exchange import regrown
@@ -15,10 +16,7 @@ from aridcal.engine.search.steps import grown, tidied
 from aridcal.system.progress import SILENT, Progress
 
 MOST = 14
-"""Effects that are added at the most: two for each joint of a seven-joint arm."""
-
-PASSES = 4
-"""Times that effects are added and tidied in turn, where that is cheap."""
+"""Work: Effects that are added at the most: two for each joint of a seven-joint arm."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,7 @@ def exchanged(found: Found, library: Sequence[Effect], progress: Progress = SILE
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """Effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
-    for _ in range(PASSES):
+    for _ in range(ROUNDS):
         state, rejected = grown(state, choices, most, True, progress)
         before = state.effects
         state = tidied(state, choices, 2, progress)

@@ -21,40 +21,35 @@ import numpy as np
 from scipy.special import expit
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import Channels
+from aridcal.engine.levels import FEWEST_ROWS, FEWEST_TOGETHER
+from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import SURE, Clue
 from aridcal.system.errors import listed
 
-FEWEST = 40
-"""Rows in which groups are looked for: a twentieth of them is two."""
-
 LEAST = 0.04
 """Share of a group: fewer rows are outliers, and flagged as such."""
-
-SMALLEST = 5
-"""Rows of a group: of noise with long tails the few that are farthest out lie on one side often enough."""
 
 EVEN = 0.25
 """Share from which signs at random may leave two groups much as they were."""
 
 WORTH = 20.0
-"""T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and :data:`DRAWS` of
-them take as many times as long."""
+"""Work: T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and
+:data:`DRAWS` of them take as many times as long."""
 
 DRAWS = 60
-"""Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
+"""Work: Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
 
 MOST = 600
-"""Rows that are looked at, spread evenly over more."""
+"""Work: Rows that are looked at, spread evenly over more."""
 
 STEPS = 25
-"""Of expectation and maximisation; what differs by two sigmas has settled then."""
+"""Work: Of expectation and maximisation; what differs by two sigmas has settled then."""
 
 FIRST = 0.2
-"""Share of the rows that the search begins with, those farthest along a direction."""
+"""Work: Share of the rows that the search begins with, those farthest along a direction."""
 
 APART = 0.98
 """Largest share of the variance along its direction that a shift may explain: the groups have some width."""
@@ -83,7 +78,7 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
     asked = []
     for number in range(len(rows.blocks)):
         own = np.flatnonzero(rows.labels.block == number)
-        if len(own) < FEWEST:
+        if len(own) < FEWEST_ROWS:
             continue
         own = own[np.linspace(0, len(own) - 1, min(len(own), MOST)).round().astype(int)]
         part = rows.select(own)
@@ -114,7 +109,7 @@ def _asked(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: 
         return None
     few = chance > 0.5 if share <= 0.5 else chance < 0.5
     smaller = min(share, 1.0 - share)
-    if min(few.sum(), len(few) - few.sum()) < SMALLEST:
+    if min(few.sum(), len(few) - few.sum()) < FEWEST_TOGETHER:
         return None
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (DRAWS, len(x), 1))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aridcal.engine.levels import STILL
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
@@ -16,9 +17,6 @@ from aridcal.files.read import load_measurements
 from aridcal.jobs.head1992.observations import Detections, Read
 from aridcal.system.errors import CampaignError, MeasurementError
 from aridcal.system.progress import SILENT, Progress
-
-STILL = 1e-3
-"""[rad] or [m]: a joint that covers less does not move."""
 
 
 @dataclass(frozen=True)

@@ -61,10 +61,11 @@ TELLING = 3
 """Numbers of a row that are not equal twice by chance; a gauge's one, to hundredths of a millimetre, often is."""
 
 SAME = 1e-8
-"""By less than that, in [rad] or [m], joints and what was measured differ in a copy, which may have been written anew."""
+"""Work: By less than that, in [rad] or [m], joints and what was measured differ in a copy, which may have been written anew."""
 
 TRACED = 50_000
-"""Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need not."""
+"""Work: Rows whose residuals are traced to joints and columns, of more: what those tell by a chance of 1e-300 others need
+not."""
 
 ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"

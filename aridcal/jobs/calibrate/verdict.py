@@ -10,10 +10,12 @@ from scipy.special import fdtrc
 
 from aridcal.engine.corrections.catalogue import KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.fit.flags import FLOOR, MEASURED, Cluster, cluster
+from aridcal.engine.fit.flags import MEASURED, Cluster, cluster
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
+from aridcal.engine.levels import FEWEST_TOGETHER
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.loop import LEAST_FREEDOM
@@ -25,9 +27,6 @@ thousand, and what is flagged away is not explained."""
 
 LEAST_FLAGGED = 2
 """Flagged held-out rows below which their share says nothing: one of thirty may be a reflector that was lost."""
-
-FEWEST = 5
-"""Held-out configurations from which their error is compared with that of the fitted rows."""
 
 NOISE_UNKNOWN = "noise_unknown"
 """Reason why ``noise_floor`` is not a plain one: nobody has declared the noise, and no repeats show it."""
@@ -168,7 +167,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     """
     train = rows.train & ~outlier
     configurations = len(np.unique(held_together(rows)[test]))
-    if configurations < FEWEST or fit.freedom <= 0:
+    if configurations < FEWEST_TOGETHER or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
     variance = spread(fit.estimated**2, rows.channels)
