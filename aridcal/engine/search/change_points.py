@@ -20,14 +20,12 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import by_row, spread
 from aridcal.engine.search.evidence import explained, solve
 from aridcal.engine.search.linear_model import Active, LinearModel
 from aridcal.engine.search.state import State, with_candidate
-
-SIDE = 6
-"""Rows at the least on either side of a step: fewer are outliers, not a new state."""
 
 COARSE = 200
 """Work: Steps that are looked at in the first round; between the best and its neighbours all are looked at."""

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import Repeats
 from aridcal.engine.fit.problem import problem
@@ -24,7 +25,6 @@ from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.levels import FEWEST_TOGETHER
 from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.change_points import SIDE
 from aridcal.system.progress import SILENT, Progress
 
 SURE = 7e-4
@@ -34,10 +34,7 @@ LEAST = 0.1
 """Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
 
 NEIGHBOURS = 4
-"""Nearest configurations that a row is compared with."""
-
-FEWEST = 16
-"""Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
+"""Nearest configurations that a row is compared with; they are sought among four times as many rows at the least."""
 
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
@@ -120,7 +117,7 @@ def clues(
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
     found = [_repeated(repeats, sigma)] if repeats is not None else []
-    if len(white) > FEWEST:
+    if len(white) > 4 * NEIGHBOURS:
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
@@ -164,7 +161,7 @@ def _of_one_thing(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, own = np.bincount(thing), np.bincount(thing, square)
-    asked = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= FEWEST)).tolist()
+    asked = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEIGHBOURS)).tolist()
     if not asked:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it

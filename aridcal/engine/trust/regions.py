@@ -24,6 +24,7 @@ from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Joint
 from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.linear_model import PLAUSIBLE
 
 MOST_REGIONS = 28
 """Drawn: One for each square of the report's strip."""
@@ -41,9 +42,6 @@ ROWS_OF_A_REGION = 6
 ROWS_AROUND = 40
 """Work: Postures to which a region's constants are fitted: three numbers each, at the least, for the twenty or thirty of an
 arm."""
-
-DEVIATION = 5e-3
-"""[m] and [rad]: what a constant of one region differs by from the one model is less. It decides only what these rows do not."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +253,6 @@ def _constants(final: Fit, around: Dataset) -> Fit:
     own = [c for c in known if of_things[c] or (c.basis.constant and c.where not in frames)]
     coefficients = tuple(dict.fromkeys([*own, *first]))
     theta = np.array([known.get(c, 0.0) for c in coefficients])
-    prior = Prior(theta, np.eye(len(theta)) / DEVIATION**2)
+    prior = Prior(theta, np.eye(len(theta)) / PLAUSIBLE**2)
     asked = problem(final.model.with_coefficients(coefficients), wanted)
     return fit(asked, theta, np.ones(len(wanted)), prior)
