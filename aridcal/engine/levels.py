@@ -37,7 +37,7 @@ BLOCKS = 10
 """The same where what was chosen is judged once more: nine tenths stay to fit with. Convention."""
 
 SLIGHT = 1e-3
-"""Share of its size below which a load or a covariate does not change, and what a motion moves is not moved."""
+"""Share of its size by which a load or a covariate may differ and not change, and what a motion moves is not moved."""
 
 FAINT = 0.05
 """Share of the median lever below which a row says nothing of a motion."""
@@ -50,3 +50,6 @@ FEWEST_TOGETHER = 5
 
 STILL = 1e-3
 """[rad] or [m]: a joint whose readings cover less did not move; of a sliding one any effect is then a constant."""
+
+SEVERAL = 2
+"""Of one sort, from which what they share is told from what each has: rows of a place or of one reading, effects of a family."""

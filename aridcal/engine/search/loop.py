@@ -16,7 +16,7 @@ from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import KINDS
-from aridcal.engine.levels import BLOCKS, PLAINLY
+from aridcal.engine.levels import BLOCKS, PLAINLY, SEVERAL
 from aridcal.engine.model.declared_noise import with_stated_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
@@ -49,10 +49,6 @@ LEAST_FREEDOM = 0.67
 """Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
 (1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say what it lacks, or that only noise is
 left."""
-
-SEVERAL = 2.0
-"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
-less than a third, and only so far as readings are what scatters."""
 
 WITNESSES = (
     "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "

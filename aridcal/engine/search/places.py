@@ -7,13 +7,11 @@ from dataclasses import replace
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.labels import MOST_LABELS
 from aridcal.engine.corrections.place_scatter import is_scatter, place_scatter
+from aridcal.engine.levels import SEVERAL
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
-
-SEVERAL = 1.5
-"""Rows a place, on the average, from which what they have in common is told from what each has."""
 
 CLEARLY = 20.0
 """[nat] from which places scatter: what effects still to come explain may look like it, and what is small decides nothing."""

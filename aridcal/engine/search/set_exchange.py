@@ -20,7 +20,7 @@ from aridcal.engine.search.steps import grown, tidied
 from aridcal.system.progress import Progress
 
 FEWEST = 4
-"""Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
+"""Work: Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
 
 MOST_GROWN = 28
 """Work: Effects of such a set at the most: four for each joint of a seven-joint arm, as gears err once and twice a turn at

@@ -11,13 +11,10 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.fit.normal_equations import inverse
-from aridcal.engine.levels import PRICE
+from aridcal.engine.levels import PRICE, SEVERAL
 from aridcal.engine.numerics import TINY
 from aridcal.engine.search.linear_model import Active
 from aridcal.engine.search.state import State, solve_state
-
-SEVERAL = 2
-"""Members of a family in the model from which the others are expected: one alone says nothing of them."""
 
 Family = tuple[str, tuple[str, ...]]
 """Kind and motion: the same cause at other places, of whatever order."""

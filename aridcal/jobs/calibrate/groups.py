@@ -52,7 +52,7 @@ FIRST = 0.2
 """Work: Share of the rows that the search begins with, those farthest along a direction."""
 
 APART = 0.98
-"""Largest share of the variance along its direction that a shift may explain: the groups have some width."""
+"""Work: Largest share of the variance along its direction that a shift may explain: the groups have some width."""
 
 
 @dataclass(frozen=True)
