@@ -19,9 +19,8 @@ from aridcal.engine.corrections.smooth import Kernel, smooth_precision
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import BLOCK, problem
-from aridcal.engine.levels import SLIGHT
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, WIDE, holes, inside, largest
+from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
 from aridcal.jobs.apply.target_poses import predict, read_query
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -223,7 +222,7 @@ def test_holes_are_those_of_the_definition_step_by_step(how: str) -> None:
         rng = np.random.default_rng(seed)
         values = np.sort(draws(rng, how, n))
         values[n // 2 :] += 1.0
-        apart = np.flatnonzero(np.diff(values) > SLIGHT * (values[-1] - values[0]))
+        apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
         low, high = values[apart], values[apart + 1]
         expected = []
         for k, step in enumerate(high - low):

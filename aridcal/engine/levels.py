@@ -52,4 +52,4 @@ STILL = 1e-3
 """[rad] or [m]: a joint whose readings cover less did not move; of a sliding one any effect is then a constant."""
 
 SEVERAL = 2
-"""Of one sort, from which what they share is told from what each has: rows of a place or of one reading, effects of a family."""
+"""Of one sort, from which something is said of all of them: effects of a family, flagged rows, rows that share a reading."""

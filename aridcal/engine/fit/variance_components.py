@@ -33,7 +33,7 @@ from aridcal.engine.fit.minorant import Bound, moments
 from aridcal.engine.fit.normal_equations import shortest
 from aridcal.engine.fit.scatter import Place, Scatter, covariances, derivatives, place
 from aridcal.engine.levels import PLAINLY, RARE
-from aridcal.engine.numerics import HALVINGS, RANK, STEPS, TINY
+from aridcal.engine.numerics import HALVINGS, STEPS, TINY
 
 FAR = 1.0
 """Work: [nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is
@@ -57,6 +57,9 @@ then."""
 LEAST = 1e-6
 """Work: Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an
 instrument a thousand times better than the scatter is no instrument."""
+
+IMITATED = 0.01
+"""Share of a component's information that must be its own: with less, those in the model imitate it."""
 
 
 @dataclass(frozen=True)
@@ -365,7 +368,7 @@ def asked_for(scatter: Scatter, found: Components, price: np.ndarray | float = 0
     each = contributions(scatter, found)
     own = each - share.T @ each[free]
     score = own.sum(axis=1)
-    new = ~free & (alone > RANK * np.diag(information))
+    new = ~free & (alone > IMITATED * np.diag(information))
     alone = np.where(new, alone, 1.0)
     plain = score / np.sqrt(np.maximum(np.sum(own**2, axis=1), TINY))
     normal = score / np.sqrt(alone)

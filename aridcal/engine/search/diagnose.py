@@ -70,6 +70,9 @@ FEW_PLACES = (
 PAIRED = 3
 """Work: Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
+EXPLAINED = 0.5
+"""Share of those rows that may be flagged again: if fewer are, what was found explains them."""
+
 BENT = 0.01
 """Relative change of a channel's noise from the linear model to the exact one, from which what a single search found is asked
 again: effects of 50 mrad change it by 0.03, so that others seem to be there; those of a real UR10 by 0.001."""
@@ -198,7 +201,7 @@ def diagnose(
     counting = replace(every, limit=limits(train, together.rows))
     again = _diagnosed(question, counting, replace(first, scattered=False))
     left = int((again.fit.outliers & together.rows).sum())
-    return again if left < together.rows.sum() else first
+    return again if left < EXPLAINED * together.rows.sum() else first
 
 
 def _diagnosed(

@@ -11,7 +11,7 @@ from aridcal.engine.fit.least_squares import PLENTY, Fit
 from aridcal.engine.fit.noise import independent_share
 from aridcal.engine.fit.normal_equations import accumulate, solve
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.question import DOWN, Question
+from aridcal.engine.fit.question import Question
 from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
@@ -23,6 +23,7 @@ from aridcal.engine.model.placements import sights_of
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
 from aridcal.engine.numerics import RIDGE, ROUNDS
 from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.diagnose import Diagnosed, diagnose, told_apart
@@ -220,7 +221,7 @@ def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings
     payloads = question.payloads or (Payload(model.tip_target[0][1].translation),)
     if question.gravity is not None:
         return Surroundings(question.gravity, payloads, loaded)
-    vectors = [frame.rotation.T @ np.array(DOWN) for _, frame in model.world_base]
+    vectors = [frame.rotation.T @ np.array(LEVEL_GRAVITY) for _, frame in model.world_base]
     return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], payloads, loaded)
 
 

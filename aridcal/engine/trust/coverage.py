@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.levels import SLIGHT
-
 Range = tuple[float, float]
 """Lowest and highest value."""
+
+SAME = 2e-3
+"""Share of its range by which values of a quantity may differ and still be one: noise of a reading that is set to levels."""
 
 NEIGHBOURS = 10
 """Steps on either side with which a step from one value to the next is compared: enough for their mean to within a quarter,
@@ -95,7 +96,7 @@ def holes(values: np.ndarray) -> tuple[Range, ...]:
         Lowest and highest value of each hole, its edges left out, in rising order.
     """
     values = np.sort(values)
-    apart = np.flatnonzero(np.diff(values) > SLIGHT * (values[-1] - values[0]))
+    apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
     low, high = values[apart], values[apart + 1]
     steps = high - low
     around, count = np.zeros(len(steps)), np.zeros(len(steps))

@@ -25,12 +25,12 @@ from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import inverse
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.question import DOWN
 from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import CERTAINLY, FOLDS
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import RIDGE
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.noise_tests import SURE
@@ -81,7 +81,7 @@ def _loads(fit: Fit, rows: Dataset) -> dict[tuple[str, int], np.ndarray]:
     world = rows_of_data(model, rows).world
     tables = []
     for axis in np.eye(3):
-        around = replace(model.around, gravity=-DOWN[2] * axis)
+        around = replace(model.around, gravity=-LEVEL_GRAVITY[2] * axis)
         tables.append(covariate_table(model.robot, rows.readings, payload, around, world, {".gravity_"}))
     own = {
         (name, i): tables[i].get(f"{name}.gravity_torque", np.zeros(0)) for name in model.robot.names for i in range(3)
@@ -213,7 +213,7 @@ def _answer(sums: _Sums, stated: np.ndarray) -> str:
         p_value = float(stdtr(len(gain) - 1, -gain.mean() / max(error, np.finfo(float).tiny)))
     if p_value >= SURE:
         return ""
-    vector = ", ".join(f"{-DOWN[2] * component:.2f}" for component in u)
+    vector = ", ".join(f"{-LEVEL_GRAVITY[2] * component:.2f}" for component in u)
     return (
         f"joints give way as if gravity pulled {np.degrees(angle):.0f} degrees from where the campaign says: is the robot "
         f"mounted otherwise? Then set `robot.gravity: [{vector}]`, in the base frame"
