@@ -115,8 +115,9 @@ def module_of(path: str) -> ModuleType:
 
 
 def numbers_of(constant: object) -> list[float]:
-    """A constant as numbers, in order."""
-    return [float(number) for number in np.ravel(constant).tolist()]
+    """A constant as numbers, in order; a kernel is its length."""
+    many = constant if isinstance(constant, tuple | list | np.ndarray) else [constant]
+    return [float(k.length if isinstance(k, Kernel) else k) for k in many]
 
 
 @pytest.mark.parametrize("module, name", sorted(thresholds()))

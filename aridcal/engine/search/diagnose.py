@@ -20,7 +20,6 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
 from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
-from aridcal.engine.numerics import ROUNDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
 from aridcal.engine.search.confounded import Tied, tied, twins
@@ -45,6 +44,10 @@ from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, activate, solve_state
 from aridcal.engine.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.system.progress import SILENT, Progress
+
+ROUNDS = 6
+"""Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets are
+exchanged."""
 
 SEARCHED = 2000
 """Work: Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there

@@ -21,7 +21,7 @@ from aridcal.engine.model.declared_noise import with_stated_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
-from aridcal.engine.numerics import RIDGE, ROUNDS
+from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
@@ -34,6 +34,9 @@ from aridcal.system.progress import SILENT, Progress
 CLEARER = 1.2
 """Work: Times as much or as little as before that a row must count for, once effects are found, for another search: evidence
 does."""
+
+WEIGHED = 3
+"""Work: Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
 
 HANGS = 1e-4
 """Work: [m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was
@@ -98,7 +101,7 @@ def calibrated_arm(
         return _around(anew, geometry.geometric.model.around)
 
     arm = fitted(rows, geometry)
-    for _ in range(ROUNDS if bodies == 1 else 0):
+    for _ in range(WEIGHED if bodies == 1 else 0):
         share = _share(rows, arm.diagnosed.fit)
         if rows.repeats.share / CLEARER < share < rows.repeats.share * CLEARER:
             break

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.numerics import ROUNDS
 from aridcal.engine.search.ranking import is_small, with_effect, with_flags
 from aridcal.engine.search.scoring import Judgement, judge, score_of
 from aridcal.engine.search.set_exchange import regrown
@@ -17,6 +16,9 @@ from aridcal.system.progress import SILENT, Progress
 
 MOST = 14
 """Work: Effects that are added at the most: two for each joint of a seven-joint arm."""
+
+PASSES = 4
+"""Work: Times that effects are added and tidied in turn, where that is cheap."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def exchanged(found: Found, library: Sequence[Effect], progress: Progress = SILE
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """Effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
-    for _ in range(ROUNDS):
+    for _ in range(PASSES):
         state, rejected = grown(state, choices, most, True, progress)
         before = state.effects
         state = tidied(state, choices, 2, progress)
