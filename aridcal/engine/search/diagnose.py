@@ -45,9 +45,9 @@ from aridcal.engine.search.state import State, activate, solve_state
 from aridcal.engine.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.system.progress import SILENT, Progress
 
-ROUNDS = 6
-"""Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets are
-exchanged."""
+SEARCHES = 6
+"""Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets
+are exchanged."""
 
 SEARCHED = 2000
 """Work: Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there
@@ -309,7 +309,7 @@ def _searched(setting: Setting, named: Sequence[Effect], step: Step, fresh: bool
     progress = setting.progress
     small = is_small(step.found.state.model, named)
     stuck = False
-    for _ in range(ROUNDS if small else 1):
+    for _ in range(SEARCHES if small else 1):
         before, found = step.found.state, step.found
         if not stuck:
             found = search(before, named, exchange=fresh, progress=progress)
