@@ -34,12 +34,13 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
+from aridcal.engine.levels import RARE
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset, with_places
 from aridcal.engine.search.diagnose import look
-from aridcal.engine.trust.halves import DISAGREE, halves
+from aridcal.engine.trust.halves import halves
 
 TOP = Path(__file__).resolve().parents[1]
 NOISE = 1e-4
@@ -119,7 +120,7 @@ def clean(runs: int) -> None:
     for name, made in CLEAN.items():
         run = made()
         p = np.array([run(seed) for seed in range(1, runs + 1)])
-        shares = " | ".join(f"{100 * np.mean(p < limit):.1f} %" for limit in (0.05, 0.01, DISAGREE))
+        shares = " | ".join(f"{100 * np.mean(p < limit):.1f} %" for limit in (0.05, 0.01, RARE))
         print(f"| {name} | {kstest(p, 'uniform').pvalue:.3f} | {shares} |", flush=True)
 
 
@@ -176,7 +177,7 @@ OF_ARMS = (
 def power(runs: int) -> None:
     """Which missing effects are betrayed."""
     print(
-        f"| missing, 300 rows | poses: p < {DISAGREE:g} | in the rows before the fit [sigma] | positions | before the fit |"
+        f"| missing, 300 rows | poses: p < {RARE:g} | in the rows before the fit [sigma] | positions | before the fit |"
     )
     total = dict.fromkeys(("pose", "position"), 0)
     tried = 0
@@ -184,7 +185,7 @@ def power(runs: int) -> None:
         cells = []
         for kind in total:
             found = [spoilt(kind, effect_kind, seed) for seed in range(runs)]
-            caught = sum(p < DISAGREE for p, _ in found)
+            caught = sum(p < RARE for p, _ in found)
             total[kind] += caught
             cells += [f"{caught} of {runs}", f"{np.median([before for _, before in found]):.1f}"]
         tried += runs

@@ -12,6 +12,7 @@ from aridcal.engine.corrections.basis import Basis, evaluate
 from aridcal.engine.corrections.effect import ROW_ORDER, Coefficient, Effect
 from aridcal.engine.fit.flags import OUTLIER
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
+from aridcal.engine.levels import DOUBT
 from aridcal.engine.search.change_points import (
     COARSE,
     LENGTHS,
@@ -24,7 +25,7 @@ from aridcal.engine.search.change_points import (
 )
 from aridcal.engine.search.evidence import NOTHING
 from aridcal.engine.search.linear_model import LinearModel
-from aridcal.engine.search.scoring import DOUBT, judge, score_of
+from aridcal.engine.search.scoring import judge, score_of
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, solve_state

@@ -33,17 +33,21 @@ PAGES = [
 
 
 SEARCH_PAGE = DOCS / "how-the-search-works.md"
-THRESHOLD = re.compile(r"^\| `([A-Z_0-9]+)` \| ([^|]+) \| `([\w/]+)` \| [^|]{3,} \|$", re.MULTILINE)
+THRESHOLD = re.compile(r"^\| `(\w+)\.([A-Z_0-9]+)` \| ([^|]+) \| [^|]{3,} \|$", re.MULTILINE)
 DECIDING_ROOMS = ("engine/corrections", "engine/fit", "engine/search", "engine/trust")
 OTHER_DECIDERS = (
+    "engine/levels",
     "jobs/calibrate/gravity_direction",
     "jobs/calibrate/groups",
     "jobs/calibrate/pipeline",
+    "jobs/calibrate/verdict",
     "jobs/calibrate/job_inputs",
     "engine/rows/split",
     "engine/rows/repeats",
 )
 GEOMETRY = ("engine/robot/doty1992",)
+NOT_DECIDING = ("Work: ", "Drawn: ")
+"""How the reason of a constant begins that bounds the work, or what is drawn; any other has its row in the page."""
 
 
 def text_of(page: Path) -> str:
@@ -91,11 +95,19 @@ def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
     assert [kind for kind in of_instruments if f"| `{kind}` |" not in text] == []
 
 
+def deciding() -> dict[str, str]:
+    """Modules whose constants decide what is found or said: name in the page to place in the package."""
+    inside = {f"{room}/{path.stem}" for room in DECIDING_ROOMS for path in (TOP / "aridcal" / room).glob("[!_]*.py")}
+    modules = {*inside, *OTHER_DECIDERS} - {*GEOMETRY}
+    assert len({module.rpartition("/")[2] for module in modules}) == len(modules)
+    return {module.rpartition("/")[2]: module for module in sorted(modules)}
+
+
 def thresholds() -> dict[tuple[str, str], str]:
     """Rows of the page's tables: (module, name) and the value as it is written."""
     rows = THRESHOLD.findall(SEARCH_PAGE.read_text("utf-8"))
-    assert len({(module, name) for name, _, module in rows}) == len(rows)
-    return {(module, name): value for name, value, module in rows}
+    assert len({(module, name) for module, name, _ in rows}) == len(rows)
+    return {(module, name): value for module, name, value in rows}
 
 
 def module_of(path: str) -> ModuleType:
@@ -104,24 +116,14 @@ def module_of(path: str) -> ModuleType:
 
 def numbers_of(constant: object) -> list[float]:
     """A constant as numbers, in order; a kernel is its length."""
-    many = isinstance(constant, tuple | list | np.ndarray)
-    flat = np.ravel(constant).tolist() if isinstance(constant, np.ndarray) else constant if many else [constant]
-    return [float(k.length if isinstance(k, Kernel) else k) for k in flat]
-
-
-def numbers_written(value: str) -> list[float]:
-    """`3e-4`, `1, 2, 3`, `10^-1.5`."""
-    parts = (re.fullmatch(r"(?:10\^)(\S+)|(\S+)", part.strip()) for part in value.split(","))
-    return [10.0 ** float(part[1]) if part[1] else float(part[2]) for part in parts if part]
+    many = constant if isinstance(constant, tuple | list | np.ndarray) else [constant]
+    return [float(k.length if isinstance(k, Kernel) else k) for k in many]
 
 
 @pytest.mark.parametrize("module, name", sorted(thresholds()))
 def test_a_threshold_in_the_documents_is_that_of_the_code(module, name):
-    value, constant = thresholds()[module, name], numbers_of(getattr(module_of(module), name))
-    if span := re.fullmatch(r"(\S+) … (\S+) \((\d+)\)", value.strip()):
-        assert len(constant) == int(span[3])
-        constant, value = [constant[0], constant[-1]], f"{span[1]}, {span[2]}"
-    np.testing.assert_allclose(constant, numbers_written(value), rtol=1e-12)
+    written = [float(part) for part in thresholds()[module, name].split(",")]
+    np.testing.assert_allclose(numbers_of(getattr(module_of(deciding()[module]), name)), written, rtol=1e-12)
 
 
 def constants_of(module: str) -> dict[str, str]:
@@ -136,22 +138,25 @@ def constants_of(module: str) -> dict[str, str]:
             for name in ast.unparse(target).strip("()").split(", "):
                 constant = getattr(module_of(module), name)
                 first = constant[0] if isinstance(constant, tuple) and constant else constant
-                if name.isupper() and isinstance(first, int | float | np.ndarray | Kernel):
+                number = name.isupper() and isinstance(first, int | float | np.ndarray | Kernel)
+                if number and not reason.startswith(NOT_DECIDING):
                     found[name] = reason
     return found
 
 
 def test_every_number_that_the_search_decides_by_is_in_the_documents_with_its_reason():
-    """What fails here names the rows that are missing, ready to be pasted."""
-    inside = [f"{room}/{path.stem}" for room in DECIDING_ROOMS for path in (TOP / "aridcal" / room).glob("[!_]*.py")]
-    written = thresholds()
-    missing = [
-        f"| `{name}` | {', '.join(map(str, numbers_of(getattr(module_of(module), name))))} | `{module}` | {reason} |"
-        for module in sorted({*inside, *OTHER_DECIDERS} - {*GEOMETRY})
+    """What fails here names the rows that are missing, ready to be pasted, or that say what decides nothing."""
+    constants = {
+        (
+            stem,
+            name,
+        ): f"| `{stem}.{name}` | {', '.join(map(str, numbers_of(getattr(module_of(module), name))))} | {reason} |"
+        for stem, module in deciding().items()
         for name, reason in constants_of(module).items()
-        if (module, name) not in written
-    ]
-    assert not missing, "\n".join(missing)
+    }
+    written = thresholds()
+    assert not (missing := [row for key, row in constants.items() if key not in written]), "\n".join(missing)
+    assert not (idle := [key for key in written if key not in constants]), idle
 
 
 def test_the_readme_and_the_formats_name_every_command():

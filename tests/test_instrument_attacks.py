@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
-from aridcal.engine.search.change_points import SIDE, _within_a_place
+from aridcal.engine.search.change_points import _within_a_place
 from aridcal.system.errors import MeasurementError
 
 

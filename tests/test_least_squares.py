@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit import least_squares as least_squares_module
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.fit.flags import FLOOR, OUTLIER, SUSPECT, flagged, robust_sigma
+from aridcal.engine.fit.flags import OUTLIER, SUSPECT, flagged, robust_sigma
 from aridcal.engine.fit.least_squares import fit, fit_identifiable, minimise, thin
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import BLOCK, Problem, problem
@@ -22,6 +22,7 @@ from aridcal.engine.fit.residual import linearise, triangle
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.instruments.pose import residuals
 from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import NotIdentifiable
 

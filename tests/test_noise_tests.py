@@ -11,6 +11,7 @@ import robots
 from scipy.stats import kstest
 
 from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.noise import Repeats, declared_notices
@@ -18,7 +19,6 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import PIXEL
 from aridcal.engine.instruments.setup import Block
 from aridcal.engine.rows.dataset import Dataset, dataset
-from aridcal.engine.search.change_points import SIDE
 from aridcal.engine.search.noise_tests import (
     SHUFFLES,
     STRETCHES,

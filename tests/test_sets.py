@@ -16,10 +16,11 @@ from test_hints import linear, made_up, with_effect
 import aridcal
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.levels import PRICE
 from aridcal.engine.search import set_exchange
 from aridcal.engine.search.evidence import NOTHING, Solution
 from aridcal.engine.search.linear_model import Active
-from aridcal.engine.search.sets import PLAIN_PRICE, Choices, evidence_of_set
+from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, solve_state
 from aridcal.system.progress import SILENT
 
@@ -97,7 +98,7 @@ def test_the_evidence_of_a_set_is_the_density_of_its_rows():
     evidence, density = [], []
     for some in ((), (first,), (first, second)):
         state = at_noise(solve_state(model, taken(*some), sigma, every, fixed=True), sigma)
-        evidence.append(evidence_of_set(state, choices, every) + choices.cost(state.active) + PLAIN_PRICE * len(some))
+        evidence.append(evidence_of_set(state, choices, every) + choices.cost(state.active) + PRICE * len(some))
         K = model.A.shape[2]
         covariance = np.diag(np.tile(np.repeat(sigma**2, 3), 40))
         A = model.A.reshape(-1, K)

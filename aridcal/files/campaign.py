@@ -27,7 +27,7 @@ from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
 from aridcal.engine.robot.drive import Stated
-from aridcal.engine.robot.kinematics import bears
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, bears
 from aridcal.files.counting import check_joints, check_on_chain
 from aridcal.files.instrument_settings import InstrumentSettings, Placement, TargetSettings
 from aridcal.files.measurement_settings import MeasurementSettings, Names, listed, one_of
@@ -100,7 +100,7 @@ class RobotSettings(ArmSettings):
 
     tip: str = ""
     """End of the default path; :meth:`Job._tip_is_known` says which it is where a campaign leaves it out."""
-    gravity: Literal["world"] | Vector3 = (0.0, 0.0, -9.81)
+    gravity: Literal["world"] | Vector3 = LEVEL_GRAVITY
     """In the base frame, m/s²; `world`: along -z of the world frame."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
     """What the controller shows of a joint where its reading is zero, rad or m, where that is not zero; for robot programs."""

@@ -25,7 +25,7 @@ KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9
-"""A column that changes by a smaller share of its largest value (of 1, if that is less) is constant."""
+"""Work: A column that changes by a smaller share of its largest value (of 1, if that is less) is constant."""
 
 
 @dataclass(frozen=True)

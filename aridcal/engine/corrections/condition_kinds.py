@@ -20,11 +20,13 @@ STANDING = {
 }
 """What moves of a thing that was knocked. A marker that is off is named by its residual; a tracker that moves moves the base."""
 
-STEPPED = 24
-"""Configurations of a thing from which a step of it is sought: twice the twelve that tell a step in its midst from outliers."""
+SIDE = 6
+"""Rows at the least on either side of a step: fewer are outliers, not a new state. A step of one thing is sought from
+four times as many configurations of it: twice those that tell a step in its midst."""
 
 MOST_STEPPED = 24
-"""Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the evidence."""
+"""Work: Things beyond which none is sought: each costs as much as a joint, and among many a step needs as many times the
+evidence."""
 
 
 def _thermal(rows: Observed) -> Iterator[Effect]:
@@ -74,7 +76,7 @@ def _shift(rows: Observed) -> Iterator[Effect]:
     step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
     frames = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
     things = [
-        (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= STEPPED
+        (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= 4 * SIDE
     ]
     things = things if len(things) <= MOST_STEPPED else []
     for where, motion in (*frames.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):

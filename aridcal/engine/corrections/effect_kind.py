@@ -10,16 +10,12 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
+from aridcal.engine.levels import SLIGHT, STILL
 from aridcal.engine.robot.chain import Joint, Robot
 
-MOVED_ANGLE, MOVED_LENGTH = 1e-2, 1e-3
-"""Less travel than this says nothing about a joint, [rad] and [m]."""
-
-CHANGED = 1e-3
-"""A load that changes by a smaller share of its largest value (of 1 N m or N, if that is less) is constant."""
-
+MOVED_ANGLE = 1e-2
 LEAST_KNOTS = 4
-"""A smooth function of fewer knots than a cubic has coefficients would be no smoother than a cubic."""
+"""Work: A smooth function of fewer knots than a cubic has coefficients would be no smoother than a cubic."""
 
 
 class Declaration(Protocol):
@@ -73,7 +69,7 @@ class Observed:
     def moves(self, joint: Joint) -> bool:
         """True if the joint's reading covers enough to say anything about it."""
         travel = float(np.ptp(self.table[joint.name]))
-        return travel > (MOVED_ANGLE if joint.kind == "revolute" else MOVED_LENGTH)
+        return travel > (MOVED_ANGLE if joint.kind == "revolute" else STILL)
 
     def moving(self, kind: str = "") -> Iterator[Joint]:
         """Joints that moved; of one kind, if it is given."""
@@ -89,7 +85,7 @@ class Observed:
         if load is None:
             return False
         largest = float(np.abs(load).max())
-        return float(np.ptp(load)) > CHANGED * max(1.0, largest)
+        return float(np.ptp(load)) > SLIGHT * max(1.0, largest)
 
     def columns(self, prefix: str) -> tuple[str, ...]:
         """Measured columns whose name is the prefix, or the prefix with a suffix."""

@@ -12,11 +12,8 @@ from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG
 POWERS = (2.0, 3.0)
 """Of the distance, in which a wire's reading may be off: as its stretch under its own drag, or a drum's growing turns."""
 
-FEWEST_ON_A_PLATE = 12
-"""Places on a plate below which its shape is not asked about: twice its three own unknowns and the three of a bend."""
-
-FEWEST_OF_A_CUBIC = 20
-"""The same with the four of third order."""
+PLACES_EACH = 2
+"""Places on a plate for each number of its shape, the three of its plane counted, from which that shape is asked about."""
 
 
 def of_things(
@@ -60,8 +57,8 @@ def _flatness(rows: Observed) -> Iterator[Effect]:
         u, v = (where + ending for ending in PLACE)
         second = (_power(u, 2.0), _product(u, v, 1.0), _power(v, 2.0))
         third = (_power(u, 3.0), _product(v, u, 2.0), _product(u, v, 2.0), _power(v, 3.0))
-        for bases, fewest in ((second, FEWEST_ON_A_PLATE), ((*second, *third), FEWEST_OF_A_CUBIC)):
-            if places >= fewest:
+        for bases in (second, (*second, *third)):
+            if places >= PLACES_EACH * (3 + len(bases)):
                 yield Effect("flatness", where, tuple(Coefficient(where, "offset", basis) for basis in bases))
 
 

@@ -10,6 +10,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed, bumps, middle, slope, turns
 from aridcal.engine.corrections.loads import bearing_components
+from aridcal.engine.levels import SLIGHT
 from aridcal.engine.robot.chain import Joint
 
 ORDERS = (1.0, 2.0, 3.0, 4.0)
@@ -24,7 +25,7 @@ BENDS = (1.0, 2.0, 3.0, 4.0)
 WAVES = (0.5, 1.0, 2.0)
 """Periods of a wave over the travel seen."""
 
-POWERS = (0.0, 1.0, 2.0)
+POWERS = (1.0, 2.0)
 """Of a rail's travel, for what bends the more the further it is out."""
 
 MAP_KNOTS = 72
@@ -32,9 +33,6 @@ MAP_KNOTS = 72
 
 RAIL_KNOTS = 16
 """Of a rail: bends as short as an eighth of its travel."""
-
-LEAST_MOMENT = 1e-3
-"""A bearing that never carries more than this tilts under nothing, [N m]."""
 
 ACROSS = ("r1", "r2", "t1", "t2")
 """Motions of an axis: it tilts or it runs out."""
@@ -95,7 +93,7 @@ def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
         together: list[Coefficient] = []
         for component in bearing_components(j.kind):
             load = f"{j.name}.gravity_moment_{component}"
-            if load not in rows.table or not np.any(np.abs(rows.table[load]) > LEAST_MOMENT):
+            if load not in rows.table or not np.any(np.abs(rows.table[load]) > SLIGHT):
                 continue
             tilts = [slope(j.name, component, load)]
             if travels:
@@ -111,7 +109,7 @@ def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
 def _tilts_with_travel(rows: Observed, rail: Joint, component: str, load: str) -> list[Coefficient]:
     """A load times powers of a rail's travel, as a share of its largest."""
     largest = float(np.abs(rows.table[rail.name]).max())
-    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in POWERS if power]
+    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in POWERS]
     return [Coefficient(rail.name, component, basis) for basis in bases]
 
 

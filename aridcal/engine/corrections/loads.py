@@ -11,7 +11,16 @@ from aridcal.engine.corrections.basis import FORMS, Basis
 from aridcal.engine.corrections.effect import direction
 from aridcal.engine.corrections.sights import Sights, is_sight
 from aridcal.engine.robot.chain import Joint, Robot
-from aridcal.engine.robot.kinematics import Walked, bears, borne_by, carried, gravity_loads, of_chain, tree_frames
+from aridcal.engine.robot.kinematics import (
+    LEVEL_GRAVITY,
+    Walked,
+    bears,
+    borne_by,
+    carried,
+    gravity_loads,
+    of_chain,
+    tree_frames,
+)
 
 LOADS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
@@ -53,7 +62,7 @@ class Surroundings:
         sights: Where the instruments' things and the targets are.
     """
 
-    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    gravity: np.ndarray = field(default_factory=lambda: np.array(LEVEL_GRAVITY))
     payloads: tuple[Payload, ...] = (Payload(),)
     loaded: bool = False
     sights: Sights = field(default_factory=Sights)

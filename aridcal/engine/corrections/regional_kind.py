@@ -15,6 +15,7 @@ import numpy as np
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, Kind, Observed, bumps
+from aridcal.engine.corrections.joint_kinds import RAIL_KNOTS
 from aridcal.engine.corrections.labels import STATION
 from aridcal.engine.corrections.sights import TARGET
 from aridcal.engine.robot.doty import links_down
@@ -22,15 +23,12 @@ from aridcal.engine.robot.doty import links_down
 IN_SPACE = "place"
 """What ``by`` says of a deviation that depends on where the target is."""
 
-REGION_KNOTS = 16
-"""Of a constant along a rail, as of the rail itself: bends as short as an eighth of its travel."""
-
 MOST_NODES = 96
-"""Of a field in space, so many that each of three strips of 28 squares has its own."""
+"""Work: Of a field in space, so many that each of three strips of 28 squares has its own."""
 
 WIDTHS = (2.0, 4.0, 8.0, 16.0)
-"""Radii of the functions about nodes that are tried, in distances between nodes, an octave apart: two is the least with which
-no place between the nodes is left out, sixteen is beyond the whole field."""
+"""Work: Radii of the functions about nodes that are tried, in distances between nodes, an octave apart: two is the least with
+which no place between the nodes is left out, sixteen is beyond the whole field."""
 
 ALONE = 2.0
 """Distances between nodes from the nearest one, beyond which nothing was measured: places are half of one from it, and a field
@@ -98,7 +96,7 @@ def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by:
         bases = ball_field(np.column_stack([rows.table[name] for name in TARGET]))
         every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
     else:
-        curves = (bumps(where, component, by, rows.table[by], REGION_KNOTS) for component in motion)
+        curves = (bumps(where, component, by, rows.table[by], RAIL_KNOTS) for component in motion)
         every = tuple(coefficient for curve in curves for coefficient in curve)
     return Effect(kind, where, every, by=by, smooth=True)
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import wendland
 
-SPREAD = 1e-11  # smallest variance of a smooth function's modes, as a share of the largest
+SPREAD = 1e-11
+"""Work: smallest variance of a smooth function's modes, as a share of the largest: it stays invertible in double precision."""
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from aridcal.engine.fit.normal_equations import TINY, NormalEquations, directions
+from aridcal.engine.fit.normal_equations import NormalEquations, directions
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.instruments.setup import Instruments, Tie
 from aridcal.engine.model.predictions import Measured, States
+from aridcal.engine.numerics import TINY
 
 STEP = 1e-6
-"""Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
+"""Work: Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
 
 
 @dataclass(frozen=True)

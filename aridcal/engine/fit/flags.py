@@ -10,17 +10,15 @@ from scipy.special import betainc, gammaincinv
 
 from aridcal.engine.instruments.channels import Channels, norms
 from aridcal.engine.model.model import SIZES
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
-
-FLOOR = 1e-12
-"""[m] or [rad]: below this everything is rounding."""
 
 QUANTILES = (0.5, 0.9)
 """Of the rows' norms that tell a sigma. A tenth of the rows may be wild; more than that is a part of the robot's life that
 the model lacks (one of two sides of a backlash, say) and must not be flagged away."""
 
 CAUCHY = 4.0
-"""Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
+"""Work: Sigmas at which a row's weight has fallen to a half: one clean row of three numbers in a thousand is as far."""
 
 OUTLIER = 6.0
 """Sigmas per axis, in any channel, beyond which a row is flagged: 1 clean pose in 7 million."""
@@ -29,7 +27,7 @@ SUSPECT = 3.0
 """The same for rows that share a measurement although the joints moved between them: that alone makes them doubtful."""
 
 ENDS = 150
-"""Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
+"""Work: Flagged rows at which a window may begin or end: 11,000 windows of each coordinate are enough to see a cluster."""
 
 OF_SPACE = ("m", "rad", "px")
 """Units whose noise can be set beside each other."""

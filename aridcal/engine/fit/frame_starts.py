@@ -10,33 +10,26 @@ import pinocchio as pin
 
 from aridcal.engine.fit.flags import robust_sigma
 from aridcal.engine.instruments.pose import kind_of_places, nearest_rotation, residuals
-
-FREE = 1e-3
-"""[m/m]: a target translation that moves the points by a smaller share, the base following, is left at its hint."""
+from aridcal.engine.levels import SLIGHT
+from aridcal.engine.numerics import HALVINGS, RANK
 
 STRAIN = 1 / 3
-"""Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
+"""Work: Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
 
 BEST = 2
-"""Target translations that are handed on: a fit of each tells which is right."""
+"""Work: Target translations that are handed on: a fit of each tells which is right."""
 
 SAME = 1e-3
-"""Share of the points' spread within which two minima are one."""
+"""Work: Share of the points' spread within which two minima are one."""
 
 DESCENTS = 500
-"""Steps from each start at the most; ten are usual."""
-
-HALVINGS = 40
-"""Times that a step is halved: what then still does not fall is rounding."""
+"""Work: Steps from each start at the most; ten are usual."""
 
 ARMIJO = 1e-4
-"""Share of what the slope promises that a step must reach (Nocedal and Wright 2006, equation 3.4)."""
-
-SETTLED = 1e-12
-"""Share of the points' spread, squared, that is no gain any more: a place found to 1e-6 of it."""
+"""Work: Share of what the slope promises that a step must reach (Nocedal and Wright 2006, equation 3.4)."""
 
 TURN_COUNTS = 0.1
-"""[m/rad]: how much a start's misfit in rotation counts beside that in position."""
+"""Work: [m/rad]: how much a start's misfit in rotation counts beside that in position."""
 
 Cost = Callable[[np.ndarray], tuple[float, np.ndarray]]
 Frames = tuple[pin.SE3, ...]
@@ -212,7 +205,7 @@ def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]
             break  # rounding
         turn, gain = after_slope - slope, value - after_value
         t, value, slope = t + step, after_value, after_slope
-        if gain < SETTLED * max(value, 1.0):
+        if gain < RANK * max(value, 1.0):
             break
         along = float(turn @ step)
         if along > 0.0:  # else it curves downwards, and the matrix stays
@@ -232,7 +225,7 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     misfit = size * np.sqrt(max(cost(t)[0], 1e-8))
     reach = STRAIN * misfit / np.sqrt(np.maximum(moves - 1e-10, 1e-30))
     along = V.T @ gap
-    return np.asarray(V @ np.where(moves < FREE**2, np.clip(along, -reach, reach), 0.0))
+    return np.asarray(V @ np.where(moves < SLIGHT**2, np.clip(along, -reach, reach), 0.0))
 
 
 def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
@@ -279,7 +272,7 @@ def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames
     information = np.einsum("nik,nil->kl", A, A) / n
     pull = np.einsum("nik,ni->k", A, b) / n
     moves, V = np.linalg.eigh(information)
-    inverse = np.where(moves < FREE**2, 0.0, 1.0 / np.maximum(moves, FREE**2))
+    inverse = np.where(moves < SLIGHT**2, 0.0, 1.0 / np.maximum(moves, SLIGHT**2))
     x = V @ (inverse * (V.T @ pull))
     tX = rest - columns @ x
     bases = [tX[data.world == w].mean(axis=0) for w in range(len(RX))]

@@ -16,15 +16,12 @@ TOLERANCE = 1e-7
 CLEAR = 0.02
 """The same for a column that is identifiable beyond doubt: where axes are parallel but for a milliradian, less is left."""
 
-SHARE = 0.02
-"""Share of a redundancy that a column must carry to be named in it."""
-
 CARRIES = 0.3
 """Share of the largest part in a weak combination that makes a column one of those that may go: the last of them goes, so
 that the order of preference holds."""
 
 MANY = 100
-"""Columns from which the weakest combination is looked for without all others."""
+"""Work: Columns from which the weakest combination is looked for without all others."""
 
 WORST = 0.02
 """[m] and [rad]: a direction that the noise moves further than 20 mm or 20 mrad is redundant."""
@@ -165,5 +162,5 @@ def _partners(R: np.ndarray, dropped: list[int], kept: list[int], length: np.nda
         shares = np.linalg.lstsq(R[:, kept] / length[kept], R[:, moving] / length[moving], rcond=None)[0]
         for k, share in zip(moving, shares.T, strict=True):
             largest_first = np.argsort(-np.abs(share))
-            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > SHARE)
+            partners[k] = tuple(kept[i] for i in largest_first if abs(share[i]) > CLEAR)
     return partners

@@ -10,75 +10,63 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.elimination import Groups
-from aridcal.engine.fit.flags import FLOOR, coarsest, flagged, limits, robust_sigma
+from aridcal.engine.fit.flags import coarsest, flagged, limits, robust_sigma
 from aridcal.engine.fit.identifiable import Subset, identifiable
-from aridcal.engine.fit.normal_equations import RANK, RIDGE, Combined, Prior, condition, inverse, solve
+from aridcal.engine.fit.normal_equations import Combined, Prior, condition, inverse, solve
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.residual import Linearisation, linearise, things_again, triangle
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.numerics import FLOOR, RANK, RIDGE, ROUNDS, STEPS
 from aridcal.engine.rows.dataset import with_sigma
 from aridcal.system.errors import NotIdentifiable
 
 ABREAST = 0.1
-"""Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long before
-places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
-
-STEPS = 60
-"""Gauss-Newton steps at the most; five are usual."""
+"""Work: Of the coarsest channel's noise: until a fit has settled none that is estimated counts as finer. Turns may fit long
+before places do, those of exact data to the last digit; weighed by that alone they would hold the rest back."""
 
 SETTLED = 0.03
-"""A step that moves no combination of coefficients by more than this share of its sigma is the last."""
+"""Work: A step that moves no combination of coefficients by more than this share of its sigma is the last."""
 
 ROUGH = 1.0
-"""The same for a robust fit, whose flags are all that is wanted of it."""
+"""Work: The same for a robust fit, whose flags are all that is wanted of it."""
 
 UNNOTICED = 1e-3
-"""The same for a step that is not even taken where rows are many: it would be another look at all of them."""
+"""Work: The same for a step that is not even taken where rows are many: it would be another look at all of them."""
 
 STEADY = 1e-9
-"""Relative change of the noise that ends its estimation: no figure may tell where it was begun, and only sums are asked again."""
-
-ESTIMATES = 10
-"""Times that it is estimated in turn with the degrees of freedom that each channel gives up; five are usual."""
-
-ROUNDING = 1e-13
-"""A step of this share of the coefficients is rounding: the last, whatever the noise."""
+"""Work: Relative change of the noise that ends its estimation: no figure may tell where it was begun, and only sums are asked
+again."""
 
 ROUGH_ROWS = 300
-"""Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
+"""Work: Rows of a robust fit, or four times the coefficients if that is more: flags need no more."""
 
 AHEAD = 20_000
-"""Rows that are fitted first, where there are twice as many: what they leave to do for all of them is one step."""
+"""Work: Rows that are fitted first, where there are twice as many: what they leave to do for all of them is one step."""
 
 NUMBERS = 3
-"""That a row measures, as these counts of rows take it: a position. Where it is one length, three times the rows are taken."""
+"""Work: That a row measures, as these counts of rows take it: a position. Where it is one length, three times the rows are
+taken."""
 
 FEWEST = 10
-"""Rows of each frame in any choice of rows: enough to find the frame."""
-
-FLAGGING = 8
-"""Times that flags and fit are found in turn; three are usual."""
-
-RESELECTIONS = 4
-"""Times that the identifiable set and the fit are found in turn; two are usual."""
+"""Work: Rows of each frame in any choice of rows: enough to find the frame."""
 
 LEAST_FREEDOM = 0.5
-"""Degrees of freedom below which the noise of a channel cannot be estimated, and stays as it was."""
+"""Work: Degrees of freedom below which the noise of a channel cannot be estimated, and stays as it was."""
 
 FIRST_DAMPING, MOST_DAMPING = 1e-4, 1e8
-"""Levenberg's damping of balanced equations: the first that changes anything, and the last that lets anything move."""
+"""Work: Levenberg's damping of balanced equations: the first that changes anything, and the last that lets anything move."""
 
 NEAR, SHORTEST = 1.0, 1e-3
-"""Sigmas of a whole step from which it is cut rather than damped, and the least share of it that is tried: where a constant is
-barely identifiable the way to the optimum is narrow and bent, and damping would bar just that way."""
+"""Work: Sigmas of a whole step from which it is cut rather than damped, and the least share of it that is tried: where a
+constant is barely identifiable the way to the optimum is narrow and bent, and damping would bar just that way."""
 
 SLACK = 0.5
-"""Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there, but
-nearly (see :meth:`aridcal.engine.model.predictions.Measured.agreeing`)."""
+"""Work: Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there,
+but nearly (see :meth:`aridcal.engine.model.predictions.Measured.agreeing`)."""
 
 VANISHED = 1e-2
-"""Sigmas of a coefficient: a gradient that asks for less has vanished."""
+"""Work: Sigmas of a coefficient: a gradient that asks for less has vanished."""
 
 PLENTY = 8.0
 """Numbers measured for each coefficient from which nothing is believed of it: its freedom costs an
@@ -89,13 +77,14 @@ USUAL, BELIEVED = 1e-3, 2.0
 as two coefficients of a group that are known."""
 
 OTHER = 200
-"""Configurations not measured, at the least, that say which constants other rows would tell: several numbers for each."""
+"""Work: Configurations not measured, at the least, that say which constants other rows would tell: several numbers for each."""
 
 TELLING = 8
 """Numbers beyond the coefficients below which rows do not tell their noise: from eight on it is known to a quarter."""
 
 CLOSE = 0.02
-"""Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a sigma."""
+"""Work: Relative change of a group's size that ends its estimation: what depends on it changes by less than a hundredth of a
+sigma."""
 
 UNKNOWN_NOISE = 1e-4
 """[m] and [rad]: noise of a good instrument, where nothing is known of it yet."""
@@ -224,7 +213,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
     def steady(equations: Combined, sigma: np.ndarray) -> np.ndarray:
-        for _ in range(ESTIMATES):
+        for _ in range(ROUNDS):
             before_sigma, sigma = sigma, noise_at(equations, sigma)
             if np.all(np.abs(sigma - before_sigma) <= STEADY * before_sigma):
                 break
@@ -240,7 +229,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         combined = solve(equations.information(sigma), g, damping)
         step, length = equations.of_coefficients(combined[:, None])[:, 0], float(np.sqrt(max(combined @ g, 0.0)))
         last = length < settled and damping == 0.0
-        last |= bool(np.all(np.abs(step) < ROUNDING * (1.0 + np.abs(theta))))
+        last |= bool(np.all(np.abs(step) < RIDGE * (1.0 + np.abs(theta))))
         step = step if last else share * step
         if last and abreast and not robust:
             abreast, sigma = False, steady(equations, sigma)  # the last step is taken in the noise that stays
@@ -296,7 +285,7 @@ def fit(
     if _has_many(problem):
         some = thin(problem.rows, AHEAD)
         theta = minimise(problem.select(some), theta, weight[some], prior).theta
-    for _ in range(FLAGGING):
+    for _ in range(ROUNDS):
         minimum = minimise(problem, theta, weight, prior)
         problem, theta, steps = minimum.question, minimum.theta, steps + minimum.steps
         new_weight = np.where(flagged(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
@@ -342,7 +331,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
     share = np.full(len(some), len(problem) / len(some))
     sizes = model.sizes
     subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
-    for _ in range(RESELECTIONS):
+    for _ in range(ROUNDS):
         kept = sorted(subset.kept)
         if not kept:
             raise NotIdentifiable([model.names])
@@ -449,7 +438,7 @@ def shrunk(problem: Problem, free: Fit, groups: Sequence[np.ndarray]) -> Fit:
     precision = np.zeros((len(theta), len(theta)))
     noise_known = free.numbers - len(theta) >= TELLING
     finest = problem.data.declared(np.full(len(problem.channels), UNKNOWN_NOISE))
-    for _ in range(ESTIMATES):
+    for _ in range(ROUNDS):
         C = sum((size**2 * T @ T.T for size, T in zip(sizes, parts, strict=True)), np.zeros(2 * (len(believed),)))
         precision[np.ix_(believed, believed)] = inverse(C, ridge=RIDGE)
         prior = Prior(np.zeros(len(theta)), precision.copy())

@@ -21,15 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.fit.normal_equations import shortest
-
-STEPS = 30
-"""Of Fisher's scoring at the most; a dozen are usual, and each costs a hundredth of a look at all columns."""
+from aridcal.engine.numerics import HALVINGS, STEPS
 
 SETTLED = 0.03
-"""[nat]: a step that promises less is the last. What is left is found with the true likelihood."""
-
-HALVINGS = 12
-"""Times that a step is halved at the most before it counts as rounding."""
+"""Work: [nat]: a step that promises less is the last. What is left is found with the true likelihood."""
 
 
 def moments(V: np.ndarray, pull: np.ndarray, kernel: np.ndarray) -> np.ndarray:

@@ -8,18 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.instruments.channels import TARGET_POSITION, columns
+from aridcal.engine.levels import CERTAINLY, SURELY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.repeats import by_appearance, first_alike
 from aridcal.engine.rows.split import held_together
 
 WORTH_SAYING = 0.2
 """Logarithm of the ratio of seen to declared noise that is worth a word: people state their noise to about 20 %."""
-
-SURE_SIGMAS = 4.0
-"""Standard deviations of the estimated logarithm of a sigma, 1 / sqrt(2 n), that chance hardly makes."""
-
-ALIKE = 3.0
-"""Standard errors by which rows of one place must err alike before they count for less."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,7 @@ def contradicted(rows: Dataset, estimated: np.ndarray, numbers: float) -> np.nda
 
     Arguments as for :func:`declared_notices`.
     """
-    chance = SURE_SIGMAS / np.sqrt(2.0 * max(numbers, 1.0))
+    chance = CERTAINLY / np.sqrt(2.0 * max(numbers, 1.0))
     ratio = estimated / rows.declared(estimated)
     return np.where(np.abs(np.log(ratio)) > max(WORTH_SAYING, chance), ratio, 1.0)
 
@@ -167,7 +162,7 @@ def independent_share(rows: Dataset, residual: np.ndarray) -> float:
     )
     fourth = np.bincount(place, np.sum(r**2, axis=1) ** 2)
     chance = float(np.sqrt(max(2.0 * float(np.sum(np.sum(outer**2, axis=1) - fourth)), np.finfo(float).tiny)))
-    if float(alike.sum()) < ALIKE * chance:
+    if float(alike.sum()) < SURELY * chance:
         return 1.0
     correlation = min(float(alike.sum() / np.sum((count - 1) * square)), 1.0)
     return float(np.sum(count / (1.0 + (count - 1) * correlation)) / len(rows))

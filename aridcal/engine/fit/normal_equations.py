@@ -18,24 +18,19 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpocon, dpotrf, dpotri, dpotrs, dtrtri
 
-TINY = 1e-300
-"""Stands for nothing where a logarithm or a division needs something."""
-
-RIDGE = 1e-13
-"""Added to the unit diagonal of balanced equations: a thousand roundings, so that columns that nearly coincide factorise."""
-
-RANK = 1e-12
-"""Share of the largest singular value below which a direction of balanced equations is rounding."""
+from aridcal.engine.numerics import RANK, RIDGE, TINY
 
 UNTOLD = 1e-10
-"""Share of the largest eigenvalue of a group's equations, each unknown scaled to 1, below which a direction is rounding."""
+"""Work: Share of the largest eigenvalue of a group's equations, each unknown scaled to 1, below which a direction is
+rounding."""
 
 SURE = 10.0
-"""Times the share that eigenvalues must reach above which LAPACK's estimate of the reciprocal condition says that all of them do:
-it is rarely off by more than 3 (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 15.3)."""
+"""Work: Times the share that eigenvalues must reach above which LAPACK's estimate of the reciprocal condition says that all of
+them do: it is rarely off by more than 3 (Higham 2002, Accuracy and Stability of Numerical Algorithms, section 15.3)."""
 
 BORDERED = 1e-7
-"""Share of the pull, unknowns scaled alike, that a solution from a known inverse may leave: else all are solved for anew."""
+"""Work: Share of the pull, unknowns scaled alike, that a solution from a known inverse may leave: else all are solved for
+anew."""
 
 
 @dataclass(frozen=True)

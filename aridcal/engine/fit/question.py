@@ -11,9 +11,7 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect_kind import Declaration
 from aridcal.engine.corrections.loads import Payload
-
-DOWN = (0.0, 0.0, -9.81)
-"""Gravity in a base that stands level, [m/s^2]."""
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Question:
     targets: Mapping[str, EndFrame] = field(default_factory=dict)
     target_on: Mapping[str, str] = field(default_factory=dict)
     constants: str = "full"
-    gravity: np.ndarray | None = field(default_factory=lambda: np.array(DOWN))
+    gravity: np.ndarray | None = field(default_factory=lambda: np.array(LEVEL_GRAVITY))
     payloads: tuple[Payload, ...] = ()
     effects: tuple[Declaration, ...] = ()
     sought: tuple[str, ...] = ()

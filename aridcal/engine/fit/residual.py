@@ -14,14 +14,14 @@ from aridcal.engine.fit.problem import Problem, scaled
 from aridcal.engine.instruments.channels import Channels, columns, spread
 
 THINGS = 4
-"""Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
+"""Work: Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
 MANY = 300
-"""Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer cost
-less than the search for them."""
+"""Work: Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer
+cost less than the search for them."""
 
 NUMBERS = 1024
-"""Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
+"""Work: Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
 
 def moved_by(question: Problem, theta: np.ndarray, count: int) -> np.ndarray:

@@ -17,17 +17,15 @@ from scipy.linalg.lapack import dpotrf
 from scipy.sparse import coo_array, csr_array
 
 from aridcal.engine.fit.normal_equations import balanced, directions
+from aridcal.engine.numerics import RANK
 
 UNTOLD = 1e-3
-"""Information on a mode of unit prior, from all rows together, below which it is left out: it takes up less than a thousandth
-of one number, and every mode costs as much as one that takes up one."""
-
-RIDGE = 1e-12
-"""Added to the unit diagonal of the columns' balanced equations: some thousand roundings."""
+"""Work: Information on a mode of unit prior, from all rows together, below which it is left out: it takes up less than a
+thousandth of one number, and every mode costs as much as one that takes up one."""
 
 EVEN = 1e-2
-"""Share of a column, the others before it taken off, that must be left for single precision to do: rounding, 1e-7 of the columns,
-is then 1e-5 of what is left."""
+"""Work: Share of a column, the others before it taken off, that must be left for single precision to do: rounding, 1e-7 of the
+columns, is then 1e-5 of what is left."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,7 @@ def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
         return scatter
     _, U, z, factor, scale = _equations(replace(scatter, near=None), white)
     t = solve_triangular(factor, scale * (z @ U), lower=True, check_finite=False)
-    prior = plain.precision * scale * scale[:, None] + np.diag(RIDGE + (scale == 0.0))
+    prior = plain.precision * scale * scale[:, None] + np.diag(RANK + (scale == 0.0))
     half = solve_triangular(factor, prior, lower=True, check_finite=False)
     precision = solve_triangular(factor, half.T, lower=True, check_finite=False)
     T = _over_factor(U, factor, scale)
@@ -246,12 +244,12 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
         U, z = _whitened(scatter, white, scatter.near)
         if np.may_share_memory(U, scatter.near.A):
             return scatter.near, U, z, np.eye(U.shape[1]), np.ones(U.shape[1])
-        H, scale = balanced(U.T @ U + scatter.near.precision, RIDGE)
+        H, scale = balanced(U.T @ U + scatter.near.precision, RANK)
         factor, failed = dpotrf(H.T, lower=1)
         if not failed and np.diag(factor).min() ** 2 > EVEN:
             return scatter.near, U, z, factor, scale
     U, z = _whitened(scatter, white, scatter.columns)
-    H, scale = balanced(U.T @ U + scatter.precision, RIDGE)
+    H, scale = balanced(U.T @ U + scatter.precision, RANK)
     return scatter.columns, U, z, np.linalg.cholesky(H), scale
 
 

@@ -19,16 +19,16 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
 
 OF_ONE = 24
-"""Rows of one standstill that are asked about at the most: an error that is common to them shows in these, and a covariance
-costs the cube of its numbers."""
+"""Work: Rows of one standstill that are asked about at the most: an error that is common to them shows in these, and a
+covariance costs the cube of its numbers."""
 
 COLUMNS = 120
-"""Unknowns of things in one clump at the most, if it has several groups: forty markers seen together. More would be columns of
-all their images, and tell no more of a reading that these images share."""
+"""Work: Unknowns of things in one clump at the most, if it has several groups: forty markers seen together. More would be
+columns of all their images, and tell no more of a reading that these images share."""
 
 OF_A_THING = 10
-"""Rows of each group that a random choice of rows must leave on the average: else whole groups are chosen, for one row of a
-thing tells of nothing else."""
+"""Work: Rows of each group that a random choice of rows must leave on the average: else whole groups are chosen, for one row of
+a thing tells of nothing else."""
 
 
 def standstills(rows: Dataset) -> np.ndarray:

@@ -34,16 +34,16 @@ STRANGE_PIXELS = 40.0
 """The same of pixels: at a usual focal length 40 px are 3 degrees."""
 
 RESTART_ROWS = 150
-"""Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
+"""Work: Rows of a restart, or four times the coefficients if that is more: where a minimum lies shows in these."""
 
 AROUND = 2
-"""Starts that are drawn around the answer."""
+"""Work: Starts that are drawn around the answer."""
 
 REACH_ANGLE, REACH_LENGTH = 0.05, 0.02
-"""How far from the answer those are, [rad] and [m]: ten times what robots are usually wrong by."""
+"""Work: How far from the answer those are, [rad] and [m]: ten times what robots are usually wrong by."""
 
 SAME = 0.01
-"""Share of sigma by which residuals of one minimum may differ."""
+"""Work: Share of sigma by which residuals of one minimum may differ."""
 
 LENGTHS = frozenset({"x", "y", "z", "a", "d"})
 """Components in [m]."""

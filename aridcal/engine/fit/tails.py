@@ -16,17 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
+from aridcal.engine.levels import FEWEST_ROWS, STRONG
+from aridcal.engine.numerics import STEPS
+
 FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
-"""Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
-
-GAIN = 3.0
-"""Logarithm of the likelihood that tails must gain: of normal noise 0.7 % do (half of chi-square with one degree of freedom)."""
-
-STEPS = 60
-"""Of the scale's iteration. Each leaves five sixths of what is left at the most (Cauchy's in three numbers): in all 2e-5."""
-
-FEWEST = 20
-"""Rows below which nothing is said of tails: of one row in twenty chance makes them."""
+"""Work: Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
 
 
 @dataclass(frozen=True)
@@ -71,12 +65,12 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         squares: Of each row, shape (n,).
         size: Numbers of a row.
     """
-    middle = float(np.median(squares)) if len(squares) >= FEWEST else 0.0
+    middle = float(np.median(squares)) if len(squares) >= FEWEST_ROWS else 0.0
     if middle <= 0.0:
         return None
     mean = float(np.mean(squares)) / size
     normal = float(np.sum(log_density(squares / mean, size, np.inf))) - 0.5 * size * len(squares) * np.log(mean)
-    best, tails = normal + GAIN, None
+    best, tails = normal + STRONG, None
     for freedom in FREEDOMS:
         variance = middle / size
         for _ in range(STEPS):

@@ -21,10 +21,10 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError, NotIdentifiable
 
 MOST_ROWS = 1000
-"""Rows of a block that a start is found from: more sharpen it by nothing."""
+"""Work: Rows of a block that a start is found from: more sharpen it by nothing."""
 
 FEWEST_ROWS = 12
-"""Rows of each thing in this choice."""
+"""Work: Rows of each thing in this choice."""
 
 
 @dataclass(frozen=True)

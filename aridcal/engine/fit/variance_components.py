@@ -29,42 +29,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from aridcal.engine.fit.minorant import HALVINGS, Bound, moments
-from aridcal.engine.fit.normal_equations import TINY, shortest
+from aridcal.engine.fit.minorant import Bound, moments
+from aridcal.engine.fit.normal_equations import shortest
 from aridcal.engine.fit.scatter import Place, Scatter, covariances, derivatives, place
-
-STEPS = 40
-"""Steps at the most; three are usual."""
+from aridcal.engine.levels import PLAINLY, RARE
+from aridcal.engine.numerics import HALVINGS, STEPS, TINY
 
 FAR = 1.0
-"""[nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is maximised
-instead, which never overshoots."""
+"""Work: [nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is
+maximised instead, which never overshoots."""
 
 SETTLED = 1e-3
-"""[nat] that the maximum may be out by after the last of all steps: a twentieth of a standard deviation."""
+"""Work: [nat] that the maximum may be out by after the last of all steps: a twentieth of a standard deviation."""
 
 ROUGH = 0.1
-"""[nat]: the same as long as components are added. A likelihood ratio is then out by less than a tenth, and the chance of
+"""Work: [nat]: the same as long as components are added. A likelihood ratio is then out by less than a tenth, and the chance of
 noise by a tenth of itself; what has settled better takes twice the time."""
 
 OFF = 0.1
-"""Share of what a step promises, below :data:`FAR`, by which its gain is off half of that: less in 99 of 100 steps from places
-about the maximum in 60 rows of 4 numbers."""
-
-CHANCE = 1e-3
-"""Of naming a cause in data that have none, after correction for the number of causes asked about: one of 1000 clean
-campaigns. Weights from a cause that is not there would cost little, the word would cost trust."""
-
-PLAIN = 2.0
-"""Standard deviations by which the rows' own contributions must ask for a component, whatever their distribution: one wild
-row gives 1 at the most. A check beside the likelihood (1 of 44 by chance), not a second threshold."""
+"""Work: Share of what a step promises, below :data:`FAR`, by which its gain is off half of that: less in 99 of 100 steps from
+places about the maximum in 60 rows of 4 numbers."""
 
 CLEAR = 0.95
-"""What is less than this share of something is less where variances have settled, too: scores move by a fiftieth until then."""
+"""Work: What is less than this share of something is less where variances have settled, too: scores move by a fiftieth until
+then."""
 
 LEAST = 1e-6
-"""Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an instrument a
-thousand times better than the scatter is no instrument."""
+"""Work: Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an
+instrument a thousand times better than the scatter is no instrument."""
 
 IMITATED = 0.01
 """Share of a component's information that must be its own: with less, those in the model imitate it."""
@@ -160,7 +152,7 @@ def one_more(
     cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, demand.normal)))
     # A component that has a price does not stand in the way of one that has none.
     for k in dict.fromkeys((demand.first, cheapest)):
-        if demand.normal[k] > 0.0 and demand.plain[k] >= PLAIN:
+        if demand.normal[k] > 0.0 and demand.plain[k] >= PLAINLY:
             more = with_one(scatter, maximum, k, float(demand.variance[k]))
             if needed(more, maximum, float(cost[k]), is_channel):
                 return k, more
@@ -210,7 +202,7 @@ def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarra
 def needed(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
     """True if chance does not explain the gain of ``more`` components, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
-    return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < CHANCE
+    return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < RARE
 
 
 def promised(scatter: Scatter, maximum: Components, of: Sequence[np.ndarray], start: np.ndarray) -> np.ndarray:
@@ -358,8 +350,8 @@ class Asked:
 
     @property
     def clear(self) -> bool:
-        """True if the plain score of that component is clearly above or below :data:`PLAIN`, by :data:`CLEAR`."""
-        return not CLEAR < self.plain[self.first] / PLAIN < 1.0 / CLEAR
+        """True if the plain score of that component is clearly above or below :data:`PLAINLY`, by :data:`CLEAR`."""
+        return not CLEAR < self.plain[self.first] / PLAINLY < 1.0 / CLEAR
 
 
 def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> Asked:

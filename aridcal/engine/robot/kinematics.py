@@ -15,6 +15,9 @@ from aridcal.engine.robot.drive import Drive
 ON_AN_AXIS = 1e-9
 
 
+LEVEL_GRAVITY = (0.0, 0.0, -9.81)
+"""[m/s^2], in a base that stands level."""
+
 STEEP = 0.8
 """Cosine of the angle to a plane's normal beyond which an axis is too steep to give a direction along it: few planes are near."""
 

@@ -15,7 +15,8 @@ from aridcal.engine.corrections.joint_kinds import ORDERS
 from aridcal.engine.corrections.regional_kind import IN_SPACE, SHIFT, WIDTHS, ball_field
 from aridcal.engine.corrections.sights import TARGET
 from aridcal.engine.fit.flags import OUTLIER, distance
-from aridcal.engine.fit.normal_equations import TINY
+from aridcal.engine.levels import STILL
+from aridcal.engine.numerics import TINY
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
@@ -25,16 +26,17 @@ SCANNED = 800
 a whole turn, and no peak falls between two of them."""
 
 TABLE = 32
-"""Waves of which the others are made: about the square root of :data:`SCANNED`, which costs least."""
+"""Work: Waves of which the others are made: about the square root of :data:`SCANNED`, which costs least."""
 
 LOUD = 30.0
-"""Chi-square of a harmonic that is worth a closer look: chance makes one in three million, and thousands are looked through."""
+"""Work: Chi-square of a harmonic that is worth a closer look: chance makes one in three million, and thousands are looked
+through."""
 
 PEAKS = 2
-"""Harmonics of each joint that are tested."""
+"""Work: Harmonics of each joint that are tested."""
 
 FINE = 81
-"""Orders around a peak among which it is found again, forty times as close."""
+"""Work: Orders around a peak among which it is found again, forty times as close."""
 
 WHOLE = 0.05
 """An order this near to a whole number is one: shafts turn a whole number of times."""
@@ -44,10 +46,10 @@ WINDOWS = (0.12, 0.24, 0.48)
 wider, the curves of 72 knots over a turn can follow."""
 
 LOOKS = 4
-"""Places of a window within its own width that are different from one another."""
+"""Work: Places of a window within its own width that are different from one another."""
 
 LOUD_WINDOW = 20.0
-"""Chi-square of one degree at which a window is worth a closer look: chance makes it once in 100,000, and a thousand are
+"""Work: Chi-square of one degree at which a window is worth a closer look: chance makes it once in 100,000, and a thousand are
 looked through."""
 
 FEWEST_IN_WINDOW = 3
@@ -60,20 +62,18 @@ WINDOWS_AROUND = 1.5
 """Windows on either side of the centre over which a narrow map reaches: four sigmas of a Gaussian bump."""
 
 DENTS = (2.0, 2.8, 4.0, 5.6, 8.0)
-"""Radii of a ball in which targets are off, in distances between nodes, half an octave apart: what is wider is a field."""
+"""Work: Radii of a ball in which targets are off, in distances between nodes, half an octave apart: what is wider is a
+field."""
 
 LOUD_DENT = 25.0
-"""Chi-square of three degrees at which a ball is worth a closer look: chance makes it once in 60,000, and five hundred are
-looked through."""
-
-STILL = 1e-3
-"""[rad] or [m]: a joint that covers less hints at nothing."""
+"""Work: Chi-square of three degrees at which a ball is worth a closer look: chance makes it once in 60,000, and five hundred
+are looked through."""
 
 DEGREE = 4
-"""Of the polynomials in two covariates with which pairs are looked through: bends and waves of two periods."""
+"""Work: Of the polynomials in two covariates with which pairs are looked through: bends and waves of two periods."""
 
 LOUDEST = 12
-"""Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
+"""Work: Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
 
 
 def hinted(state: State, kinds: Collection[str]) -> list[Effect]:

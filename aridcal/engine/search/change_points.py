@@ -20,31 +20,29 @@ from functools import partial
 import numpy as np
 from scipy.special import gammaincc
 
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import by_row, spread
 from aridcal.engine.search.evidence import explained, solve
 from aridcal.engine.search.linear_model import Active, LinearModel
 from aridcal.engine.search.state import State, with_candidate
 
-SIDE = 6
-"""Rows at the least on either side of a step: fewer are outliers, not a new state."""
-
 COARSE = 200
-"""Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
+"""Work: Steps that are looked at in the first round; between the best and its neighbours all are looked at."""
 
 NODES = 33
-"""Of those, where what the model takes up of a step is worked out; between them it hardly differs from a line's, and what it
-differs by only decides which steps are looked at closely. Each costs as much as the square of all that is in the model."""
+"""Work: Of those, where what the model takes up of a step is worked out; between them it hardly differs from a line's, and what
+it differs by only decides which steps are looked at closely. Each costs as much as the square of all that is in the model."""
 
 CLOSELY = 12
-"""Steps that are looked at closely, those that seem best: between nodes what the model takes up is out by a tenth at
-the most, near the ends."""
+"""Work: Steps that are looked at closely, those that seem best: between nodes what the model takes up is out by a tenth at the
+most, near the ends."""
 
 LENGTHS = (2.0, 5.0, 12.0, 30.0, np.inf)
-"""Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
+"""Work: Rows over which noise may stay alike: two and a half times apart, from one row to the next to a walk without end."""
 
 WANDERS = (1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0)
-"""Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
+"""Work: Variances of such noise that are tried, in units of a row's own: two in a decade, from nothing to all that there is."""
 
 
 def step_points(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

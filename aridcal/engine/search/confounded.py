@@ -13,6 +13,7 @@ from aridcal.engine.corrections.labels import is_label
 from aridcal.engine.corrections.loads import is_load
 from aridcal.engine.corrections.regional_kind import is_of_labels
 from aridcal.engine.corrections.sights import is_sight
+from aridcal.engine.levels import STRONG
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.linear_model import Active
 from aridcal.engine.search.ranking import in_place_of, is_small, rank
@@ -20,11 +21,8 @@ from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 from aridcal.system.progress import SILENT, Progress
 
-CLOSE = 3.0
-"""[nat] by which another candidate may be worse and still be confounded with the one named: odds of 20 to 1."""
-
 RANKED = 12
-"""Candidates among which those confounded with an effect are sought."""
+"""Work: Candidates among which those confounded with an effect are sought."""
 
 SIMILAR = 0.7
 """Correlation over the rows from which the same motion over another covariate is a rival: below it half of what the one explains
@@ -88,7 +86,7 @@ def _twins(
     twins: dict[tuple[object, ...], tuple[Effect, Score]] = {}
     for rival, score_of_rival in ranked[:RANKED]:
         other = (rival.kind, rival.where, rival.with_, rival.by)
-        if score_of_rival.gain > score.gain - CLOSE and other != name:
+        if score_of_rival.gain > score.gain - STRONG and other != name:
             twins.setdefault(other, (rival, score_of_rival))
     return (named.effect, score), *twins.values()
 

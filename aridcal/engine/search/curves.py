@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from aridcal.engine.numerics import ROUNDS
 from aridcal.engine.search.linear_model import Active
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, without_effect
 
-ROUNDS = 5
-"""In which curves are shaped one after the other: two or three do where curves of one joint imitate each other."""
-
 SAME = 0.1
-"""Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
+"""Work: Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 
 def reshaped(state: State, some: Callable[[Active], bool]) -> State:

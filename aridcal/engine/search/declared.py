@@ -29,7 +29,7 @@ NO_BETTER = "rows held back are predicted no better with it: the one model of th
 
 
 MOST_DENTS = 6
-"""Places at which targets are off that are found one by one, as many as other effects without a name."""
+"""Work: Places at which targets are off that are found one by one, as many as other effects without a name."""
 
 
 def with_declared(

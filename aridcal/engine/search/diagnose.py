@@ -18,6 +18,7 @@ from aridcal.engine.fit.flags import cluster, flagged, limits
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
+from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
@@ -44,24 +45,25 @@ from aridcal.engine.search.state import State, activate, solve_state
 from aridcal.engine.search.stepwise import Found, confirmed, exchanged, search
 from aridcal.system.progress import SILENT, Progress
 
-ROUNDS = 6
-"""Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets are
-exchanged."""
+SEARCHES = 6
+"""Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets
+are exchanged."""
 
 SEARCHED = 2000
-"""Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there are."""
+"""Work: Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there
+are."""
 
 MOST_LARGE = 4
-"""Effects at the most that are chosen on the exact model."""
+"""Work: Effects at the most that are chosen on the exact model."""
 
 RIVALS = 5
-"""Candidates that are compared there for each of them."""
+"""Work: Candidates that are compared there for each of them."""
 
 LARGE = 100.0
 """[nat] in favour of an effect that is worth comparing on the exact model: it bends the constants."""
 
 RIVAL_SHARE = 0.5
-"""Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
+"""Work: Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
 
 FEW_PLACES = (
     f"at fewer than {FEWEST_PLACES} places nothing shows that a curve of free form holds elsewhere; measure at more"
@@ -69,10 +71,7 @@ FEW_PLACES = (
 """Why no such function is sought there."""
 
 PAIRED = 3
-"""Functions of two covariates that are added at the most: each costs as much as all functions of one."""
-
-TOGETHER = 0.01
-"""Chance of a cluster of flagged rows at which the search is repeated with them: it costs time, and decides nothing yet."""
+"""Work: Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
 EXPLAINED = 0.5
 """Share of those rows that may be flagged again: if fewer are, what was found explains them."""
@@ -82,7 +81,7 @@ BENT = 0.01
 again: effects of 50 mrad change it by 0.03, so that others seem to be there; those of a real UR10 by 0.001."""
 
 UNNAMED = 6
-"""Effects without a name that are added at the most: what is left then has no simple form."""
+"""Work: Effects without a name that are added at the most: what is left then has no simple form."""
 
 # A fitted effect: itself, and size and kernel of its prior if it is smooth.
 Shaped = tuple[Effect, float, Kernel]
@@ -199,7 +198,7 @@ def diagnose(
             in_use = first.found.state.used & beside.found.state.used
             first = max(first, beside, key=partial(_evidence, scatter, in_use))
     together = cluster(first.fit.outliers, train)
-    if together is None or together.p_value > TOGETHER:
+    if together is None or together.p_value > LENIENT:
         return first
     progress(f"{together.rows.sum()} flagged rows lie together in {together.coordinate}: searching with them")
     # These rows may show structure: they are not flagged, however large their residuals.
@@ -315,7 +314,7 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: 
     progress = setting.progress
     small = is_small(step.found.state.model, named)
     no_better = False
-    for _ in range(ROUNDS if small else 1):
+    for _ in range(SEARCHES if small else 1):
         before, result = step.found.state, step.found
         if not no_better:
             result = search(before, named, exchange=fresh, progress=progress)

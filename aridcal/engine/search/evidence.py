@@ -21,49 +21,45 @@ from scipy.linalg.lapack import dsterf, dsytrd
 from scipy.special import gammaincc
 
 from aridcal.engine.corrections.smooth import Kernel, Shape, kernels_that_matter, samples_root
-from aridcal.engine.fit.flags import FLOOR
-from aridcal.engine.fit.normal_equations import RIDGE, TINY, NormalEquations, inverse
+from aridcal.engine.fit.normal_equations import NormalEquations, inverse
 from aridcal.engine.fit.normal_equations import solve as solve_equations
+from aridcal.engine.levels import PRICE
+from aridcal.engine.numerics import FLOOR, RIDGE, ROUNDS, TINY
 
 DEPENDENT = 1e-6
 """Share of a column's square that must be left when the model's own columns are taken off: below it is rounding."""
 
-SMOOTH_PRICE = 2.0
-"""[nat] for the two numbers that shape a smooth function: one each, as for a column."""
-
-NOISE_ROUNDS = 6
-"""Times that noise and coefficients are found in turn; three are usual."""
-
 NOISE_SETTLED = 1e-2
-"""Change of the logarithm of the noise that ends this: a hundredth of a sigma moves no decision."""
+"""Work: Change of the logarithm of the noise that ends this: a hundredth of a sigma moves no decision."""
 
 NOISE_KNOWN = 2e-3
-"""The same where coefficients are solved for: of 10,000 numbers the likelihood is then known to 0.04 nat."""
+"""Work: The same where coefficients are solved for: of 10,000 numbers the likelihood is then known to 0.04 nat."""
 
 LEAST_FREEDOM = 0.05
-"""Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
+"""Work: Share of a channel's numbers that is left to estimate its noise from, whatever the freedom of the model."""
 
 TAUS = np.logspace(-1.5, 9, 43)
-"""Prior variances that are tried, in units of the best seen mode, at a first look of all: four a decade, from nothing to all."""
+"""Work: Prior variances that are tried, in units of the best seen mode, at a first look of all: four a decade, from nothing to
+all."""
 
 WHOLE = 1.0 - 1e-12
-"""A share of the residual that is explained is at most this: beyond it is rounding."""
+"""Work: A share of the residual that is explained is at most this: beyond it is rounding."""
 
 HIDDEN = 1e-3
-"""Prior variance of a mode that is rounding, in units of its noise, from which it is left out by name: a mode below it adds no
-more than such a share of a nat."""
+"""Work: Prior variance of a mode that is rounding, in units of its noise, from which it is left out by name: a mode below it
+adds no more than such a share of a nat."""
 
 FACTORS = 24
-"""Factors from 1e-9 to 33 that are multiplied before a logarithm is taken: their product is far from what overflows."""
+"""Work: Factors from 1e-9 to 33 that are multiplied before a logarithm is taken: their product is far from what overflows."""
 
 TOGETHER = 400
-"""Candidates times kernels whose evidence is found at once: their numbers stay in the cache."""
+"""Work: Candidates times kernels whose evidence is found at once: their numbers stay in the cache."""
 
 ROUGH = tuple(Kernel(length) for length in (0.7, 1.5, 3.0, 6.0, 12.0, 24.0))
-"""Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
+"""Work: Shapes of smooth functions for a first look: an octave apart, from one knot to a third of a joint map."""
 
 KERNELS = (*ROUGH, *(Kernel(length, kinks=False) for length in (1.5, 3.0, 6.0, 9.0, 12.0, 18.0)))
-"""All shapes: those, and functions without any kink."""
+"""Work: All shapes: those, and functions without any kink."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +135,7 @@ def solve(equations: NormalEquations, precision: np.ndarray, sigma: np.ndarray) 
         precision: Of their priors, which are centred at zero, shape (K, K).
         sigma: Noise to begin with, shape (C,).
     """
-    for _ in range(NOISE_ROUNDS):
+    for _ in range(ROUNDS):
         covariance = inverse(equations.information(sigma) + precision)
         beta = covariance @ equations.pull(sigma)
         spent = equations.spent(covariance, sigma)
@@ -163,7 +159,7 @@ def with_noise(
         beta: The coefficients for that noise, shape (K,).
         spent: Degrees of freedom that they use up in each channel, shape (C,).
     """
-    for k in range(NOISE_ROUNDS):
+    for k in range(ROUNDS):
         beta = coefficients(equations, precision, sigma) if k else beta
         squares = equations.squares_left(beta)
         before, sigma = sigma, noise_left(equations, squares, spent)
@@ -276,7 +272,7 @@ def _smooth(
     best = np.argmax(np.where(informed, twice, -np.inf), axis=0)
     return [
         Score(
-            0.5 * float(twice[at, k]) - SMOOTH_PRICE,
+            0.5 * float(twice[at, k]) - 2.0 * PRICE,
             smooth_tail(float(twice[at, k])),
             max(round(float(freedom[at, k])), 1),
             float(np.sqrt(variance[at, k])),

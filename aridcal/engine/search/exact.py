@@ -19,6 +19,7 @@ from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import taking_off, triangle
+from aridcal.engine.levels import FOLDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import readings_at
 from aridcal.engine.rows.dataset import Dataset
@@ -28,9 +29,6 @@ from aridcal.engine.search.evidence import charge
 from aridcal.engine.search.linear_model import Active, LinearModel
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
-
-FOLDS = 5
-"""Parts that are held back in turn: as usual, and four fifths of the rows are enough to tell an effect."""
 
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""

@@ -19,11 +19,12 @@ import numpy as np
 from scipy.sparse import csc_array
 
 SPARSE = 3
-"""Functions for each one that is not zero at a row from which they count as local: the sums over all cost as much below it."""
+"""Work: Functions for each one that is not zero at a row from which they count as local: the sums over all cost as much below
+it."""
 
 
 FULL = 0.9
-"""Share of the rows that a limb's slots move from which leaving out the others costs as much as it saves."""
+"""Work: Share of the rows that a limb's slots move from which leaving out the others costs as much as it saves."""
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,10 @@ import numpy as np
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.instruments.channels import columns
+from aridcal.engine.levels import BLOCKS, SURELY
 from aridcal.engine.search.linear_model import LinearModel
 from aridcal.engine.search.scoring import held_back_squares
 from aridcal.engine.search.state import State, solve_state
-
-BLOCKS = 10
-"""Blocks of configurations, other ones than those by which the effects were chosen."""
-
-SURE_GAIN = 3.0
-"""Standard errors of a gain on held-back rows from which an effect stays although one channel gets a little worse."""
 
 
 def missed(model: LinearModel, state: State) -> State:
@@ -39,7 +34,7 @@ def missed(model: LinearModel, state: State) -> State:
         rest = [a for a in state.active if a.effect != worst]
         state = solve_state(model, rest, state.solution.sigma, state.used)
         # Effects of a sure gain are not tried again: it grows, if anything, when another effect leaves.
-        candidates = {effect for effect, gain in gains.items() if gain < SURE_GAIN} - {worst}
+        candidates = {effect for effect, gain in gains.items() if gain < SURELY} - {worst}
     return state
 
 
@@ -74,5 +69,5 @@ def _held_back_gains(model: LinearModel, state: State, effects: Collection[Effec
         error = float(np.sqrt(np.sum(each**2)))
         total = float(each.sum()) / error if error > 0.0 else 0.0
         worse = float(gain.sum(axis=1)[_judging_channels(model, effect)].min())
-        gains[effect] = total if worse >= 0.0 or total > SURE_GAIN else min(total, worse)
+        gains[effect] = total if worse >= 0.0 or total > SURELY else min(total, worse)
     return gains

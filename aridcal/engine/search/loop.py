@@ -9,18 +9,21 @@ import numpy as np
 from aridcal.engine.corrections.loads import PAYLOAD, Payload, Surroundings, is_load
 from aridcal.engine.fit.least_squares import PLENTY, Fit
 from aridcal.engine.fit.noise import independent_share
-from aridcal.engine.fit.normal_equations import RIDGE, accumulate, solve
+from aridcal.engine.fit.normal_equations import accumulate, solve
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.question import DOWN, Question
+from aridcal.engine.fit.question import Question
 from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.levels import BLOCKS, PLAINLY, SEVERAL
 from aridcal.engine.model.declared_noise import with_stated_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
+from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.chain import Robot
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.diagnose import Diagnosed, diagnose, told_apart
@@ -29,14 +32,15 @@ from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
 
 CLEARER = 1.2
-"""Times as much or as little as before that a row must count for, once effects are found, for another search: evidence does."""
+"""Work: Times as much or as little as before that a row must count for, once effects are found, for another search: evidence
+does."""
 
 WEIGHED = 3
-"""Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
+"""Work: Times that this is asked, as effects that imitate what a place errs by leave less of it; mostly once."""
 
 HANGS = 1e-4
-"""[m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was hung:
-0.1 mm of some 100 mm change a load by a thousandth."""
+"""Work: [m] by which the target of the final model may be elsewhere than that of the geometric stage, where the payload was
+hung: 0.1 mm of some 100 mm change a load by a thousandth."""
 
 KEPT_NOMINAL = (
     "the nominal robot is kept: fitted to these {} configurations, constants and effects do not predict held-back ones better. "
@@ -45,20 +49,10 @@ KEPT_NOMINAL = (
 """What is said where neither constants nor effects are worth their freedom."""
 
 
-BLOCKS = 10
-"""Blocks of configurations that are held back in turn. Convention: nine tenths of the rows stay to fit with."""
-
-SURE = 2.0
-"""Standard errors by which the larger model must be better: one (Breiman and others 1984) lets noise pass once in six times."""
-
 LEAST_FREEDOM = 0.67
 """Share h of the numbers measured that must be left after fitting. At new configurations the model's own variance is about
 (1 - h) / h of the noise's: with less it is off by more than 0.7 sigma, and nobody may say what it lacks, or that only noise is
 left."""
-
-SEVERAL = 2.0
-"""Rows that share the error of a reading from which it is said that weights do not know: below it standard deviations are out by
-less than a third, and only so far as readings are what scatters."""
 
 WITNESSES = (
     "{:.0f} rows on the average were measured at one reading and share its error; each is weighed by itself, so that standard "
@@ -232,7 +226,7 @@ def surroundings(question: Question, model: Model, loaded: bool) -> Surroundings
     payloads = question.payloads or (Payload(model.tip_target[0][1].translation),)
     if question.gravity is not None:
         return Surroundings(question.gravity, payloads, loaded)
-    vectors = [frame.rotation.T @ np.array(DOWN) for _, frame in model.world_base]
+    vectors = [frame.rotation.T @ np.array(LEVEL_GRAVITY) for _, frame in model.world_base]
     return Surroundings(np.array(vectors) if len(vectors) > 1 else vectors[0], payloads, loaded)
 
 
@@ -264,7 +258,7 @@ def is_better(larger: Fit, smaller: Fit, data: Dataset) -> bool:
     unit = np.maximum(squares[0].mean(axis=0), np.finfo(float).tiny)
     errors = np.stack([np.bincount(part.repeats.configuration, (each / unit).sum(axis=1)) for each in squares])
     gain = (errors[0] - errors[1]) / np.maximum(errors.sum(axis=0), np.finfo(float).tiny)
-    return float(gain.sum()) > SURE * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
+    return float(gain.sum()) > PLAINLY * float(np.sqrt(np.sum((gain - gain.mean()) ** 2)))
 
 
 def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:

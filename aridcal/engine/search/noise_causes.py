@@ -16,9 +16,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.engine.fit.flags import FLOOR
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.scatter import Scatter, conditioned, covariances, told_modes
 from aridcal.engine.fit.shared_readings import Stack, representative, stack, standstills, with_things
@@ -38,6 +36,8 @@ from aridcal.engine.fit.variance_components import (
     without,
 )
 from aridcal.engine.instruments.channels import Channel, columns, spread
+from aridcal.engine.levels import FEWEST_ROWS, STRONG, SURELY
+from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset, factors
 from aridcal.engine.search.diagnose import SEARCHED
 from aridcal.engine.search.exact import GAUGE
@@ -51,50 +51,43 @@ MATTERS = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
 less changes them by less than people know their instrument."""
 
-FEWEST = 40
-"""Rows at the least that causes are asked of: with fewer, variances are known to no better than 20 %."""
-
 REPEATABLE = 0.5
 """Share of a joint's scatter that comes back at neighbouring rows from which it is no noise but an error curve, or play: half."""
 
-ALIKE = 3.0
-"""Standard deviations of chance that it takes to say so. With a dozen orders asked about, 1 of 60 true noises is refused."""
-
 UNSURE = 1.25
-"""Times by which something may be more or less than it takes to say so, and is looked at again at variances that have settled."""
+"""Work: Times by which something may be more or less than it takes to say so, and is looked at again at variances that have
+settled."""
 
 ASKED = 800
-"""Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs as
-many as there are."""
-
-TIED = 3.0
-"""[nat] within which two causes explain the scatter alike: odds of 20 to 1 (Kass and Raftery 1995: strong)."""
+"""Work: Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs
+as many as there are."""
 
 CHALLENGERS = 4
-"""Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
+"""Work: Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
 
 NEAR = 0.7
-"""Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
+"""Work: Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
 
 LOOSE = 5.0
-"""[nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they are."""
+"""Work: [nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they
+are."""
 
 STEPS = (0.1, 0.03)
-"""Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a fraction of
-what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
+"""Work: Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a
+fraction of what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
 
 SETTLED = 0.1
-"""[nat] that such a move must gain at the least."""
+"""Work: [nat] that such a move must gain at the least."""
 
 WEAK = 30.0
-"""[nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and the same
-again is left for columns that would fit anew. Judgement."""
+"""Work: [nat] that a cause seems to gain, its columns held, above which it is not left out on trial: chance gives no 15, and
+the same again is left for columns that would fit anew. Judgement."""
 
 IN_WORLD = ("range", "direction", "depth", "bearing")
 """Forms that noise may have in the world's axes."""
 
 ROUNDS = 2
-"""Times that named causes meet their rivals at the most: once is usual."""
+"""Work: Times that named causes meet their rivals at the most: once is usual."""
 
 
 @dataclass(frozen=True)
@@ -298,7 +291,7 @@ class _Inquiry:
             for a, b in (pairs.T for pairs in self.orders[cause.common]):
                 product = np.einsum("nd,nd->n", score[a], score[b])
                 whole = REPEATABLE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
-                chance = ALIKE * float(np.sqrt(product @ product))
+                chance = SURELY * float(np.sqrt(product @ product))
                 most = max(most, float(product.sum()) / max(whole, chance, TINY))
         return most
 
@@ -318,7 +311,7 @@ def noise_causes(
     question = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
     some = representative(question, train, ASKED if shapes else SEARCHED)
-    if len(some) < FEWEST:
+    if len(some) < FEWEST_ROWS:
         return None
     part = question.select(some)
     inquiry = _inquiry(part, fit, active, shapes)
@@ -413,7 +406,7 @@ def _try_rivals(
             return inquiry_without, more, None
         for (k, more), gain in zip(trials, gains, strict=True):
             # A shape may well coincide with a joint's motion: for being reported as a rival it pays no price.
-            if gain + inquiry_without.price[k] > -TIED:
+            if gain + inquiry_without.price[k] > -STRONG:
                 for k_named in np.flatnonzero(members):
                     ties[int(k_named)].append((inquiry_without.causes[k], more, k))
     return inquiry, maximum, ties

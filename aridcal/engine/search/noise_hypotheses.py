@@ -12,12 +12,12 @@ from typing import Literal
 
 import numpy as np
 
-from aridcal.engine.fit.flags import FLOOR
 from aridcal.engine.fit.problem import Problem, problem, scaled
 from aridcal.engine.fit.residual import moved_by
 from aridcal.engine.fit.shared_readings import Stack
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, columns
 from aridcal.engine.instruments.setup import Block
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search import noise_shapes
 from aridcal.engine.search.noise_shapes import Seen, Shape

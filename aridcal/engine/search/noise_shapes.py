@@ -19,12 +19,11 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.linalg import eigh
 
-from aridcal.engine.fit.flags import FLOOR
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
+from aridcal.engine.numerics import FLOOR, TINY
 
 AWAY = (1.5, 2.0, 2.8, 4.0, 8.0)
-"""Distances of an instrument that is looked for, in RMS distances of the targets from their middle: nearer it would stand
+"""Work: Distances of an instrument that is looked for, in RMS distances of the targets from their middle: nearer it would stand
 among them, and from farther off its lines of sight are as good as parallel."""
 
 Kind = Literal["direction", "depth", "bearing", "own_axis", "lever"]

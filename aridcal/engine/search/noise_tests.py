@@ -14,16 +14,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
-from aridcal.engine.fit.flags import FLOOR
+from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import Repeats
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import moved_by
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import labelled
+from aridcal.engine.levels import FEWEST_TOGETHER
+from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.change_points import SIDE
 from aridcal.system.progress import SILENT, Progress
 
 SURE = 7e-4
@@ -33,32 +33,26 @@ LEAST = 0.1
 """Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
 
 NEIGHBOURS = 4
-"""Nearest configurations that a row is compared with."""
-
-FEWEST = 16
-"""Rows at the least that neighbours are sought among: with fewer, each neighbourhood is a quarter of the table."""
-
-FEWEST_OF_A_THING = 5
-"""Rows of a thing from which it is compared with the others: a sigma is then known to a third."""
+"""Nearest configurations that a row is compared with; they are sought among four times as many rows at the least."""
 
 REACH = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
 SHUFFLES = 400
-"""Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
+"""Work: Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
 TOGETHER = 2**17
-"""Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
+"""Work: Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
 
 ASKED = 10_000
-"""Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
+"""Work: Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
 
 STRETCHES = 20
-"""Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these what
-changes slowly."""
+"""Work: Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these
+what changes slowly."""
 
 FELT = 1e-9
-"""Share of its largest lever below which a joint moves the target in none of a row's numbers."""
+"""Work: Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
 Question = Literal[
     "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
@@ -122,7 +116,7 @@ def clues(
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
     clues_found = [_repeats(repeats, sigma)] if repeats is not None else []
-    if len(white) > FEWEST:
+    if len(white) > 4 * NEIGHBOURS:
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
@@ -168,7 +162,7 @@ def _things(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, square_sum = np.bincount(thing), np.bincount(thing, square)
-    candidates = np.flatnonzero((count >= FEWEST_OF_A_THING) & (len(thing) - count >= FEWEST)).tolist()
+    candidates = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEIGHBOURS)).tolist()
     if not candidates:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it

@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.corrections.labels import MOST_LABELS
 from aridcal.engine.corrections.place_scatter import is_scatter, place_scatter
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 
-MOST_PLACES = 100
-"""Places at the most that have a deviation of their own: each costs three or six columns, and of more the mean over rows of one
-place is what counts anyhow."""
-
-SEVERAL = 1.5
-"""Rows a place, on the average, from which what they have in common is told from what each has."""
+ROWS_A_PLACE = 1.5
+"""On the average, from which what rows of a place have in common is told from what each has."""
 
 CLEARLY = 20.0
 """[nat] from which places scatter: what effects still to come explain may look like it, and what is small decides nothing."""
@@ -28,7 +25,7 @@ def scatter_of(train: Dataset) -> tuple[Effect, ...]:
         return ()
     place = held_together(train)
     count = int(place.max(initial=-1)) + 1
-    if count > MOST_PLACES or len(train) < SEVERAL * count:
+    if count > MOST_LABELS or len(train) < ROWS_A_PLACE * count:
         return ()
     measured = {channel.name for channel in train.channels}
     return place_scatter(place, "position" in measured, "rotation" in measured)

@@ -26,24 +26,26 @@ from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.search.grids import Grid, Local, grid_of, local, moved_rows, moving
 
 CHUNK = 128
-"""Columns that are multiplied at once: their Gram matrix stays in the cache."""
+"""Work: Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
 PIECE = 24
-"""Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of fewer
-columns each call costs more than its sums."""
+"""Work: Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of
+fewer columns each call costs more than its sums."""
 
 GRID = 4
-"""Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their columns."""
+"""Work: Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their
+columns."""
 
 KEPT = 2**25
-"""Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again when
-needed."""
+"""Work: Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again
+when needed."""
 
 LIMBS = 16
-"""Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few rows."""
+"""Work: Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few
+rows."""
 
 MEMBERS = 24
-"""Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
+"""Work: Effects of which all products are kept, those in the model last: with 2,000 rows and 72 knots 20 MB each."""
 
 # A member of the design: an effect (None: the constants) and the modes that are its unknowns, shape (d, modes).
 Member = tuple[Effect | None, np.ndarray]

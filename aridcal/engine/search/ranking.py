@@ -18,21 +18,21 @@ from aridcal.engine.search.state import State, activate, noise_with
 from aridcal.system.progress import SILENT, Progress
 
 REFINED = 6
-"""Candidates whose score is found again with the noise of each channel apart: the best may change places."""
+"""Work: Candidates whose score is found again with the noise of each channel apart: the best may change places."""
 
 PROMISING = 0.4
-"""Share of the best score below which a candidate is not scored again: it would not overtake."""
+"""Work: Share of the best score below which a candidate is not scored again: it would not overtake."""
 
 HOPELESS = 0.33
-"""Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: noise apart
+"""Work: Share of the evidence that :data:`ALPHA` asks for below which the best rough score is not found again: noise apart
 moves so small a score by parts of a nat, where 9 are missing."""
 
 SMALL = 1e6
-"""Numbers measured times candidates, below which every choice is tried again after each step in little time."""
+"""Work: Numbers measured times candidates, below which every choice is tried again after each step in little time."""
 
 ALIKE = 4
-"""Decimals of a gain [nat] that put candidates in order: the same motion of two places explains the same, and the first is taken,
-whatever rounding says."""
+"""Work: Decimals of a gain [nat] that put candidates in order: the same motion of two places explains the same, and the first
+is taken, whatever rounding says."""
 
 MAPPED = 30.0
 """Highest order that a joint_map resolves: 72 knots over a turn, two for each half period."""

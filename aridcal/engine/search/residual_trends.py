@@ -9,39 +9,33 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from aridcal.engine.corrections.loads import covariate_table
-from aridcal.engine.fit.flags import FLOOR
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import problem, scaled
 from aridcal.engine.fit.residual import moved_by
 from aridcal.engine.instruments.channels import spread
+from aridcal.engine.levels import FAINT, SLIGHT
+from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
 
 SLICE, MOST_SLICES = 20, 48
-"""Rows of a slice at the least, for its mean to be known to a fifth of the scatter; slices at the most, to be drawn."""
+"""Drawn: Rows of a slice at the least, for its mean to be known to a fifth of the scatter; slices at the most, to be drawn."""
 
 FEW_VALUES = 12
-"""A column with no more different values has one slice for each: they are settings, not readings."""
+"""Drawn: A column with no more different values has one slice for each: they are settings, not readings."""
 
 CURVE = 120
-"""Points of a smooth curve."""
+"""Drawn: Points of a smooth curve."""
 
 LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
-"""Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
+"""Drawn: Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
 
 LAGS = 30
-"""Rows apart at the most for which a correlation is shown."""
-
-FAINT = 0.05
-"""Rows at which a motion moves the target by less than this share of the median lever say nothing of it."""
-
-VARIES = 1e-3
-"""Share of its size by which a covariate must vary for anything to depend on it."""
+"""Drawn: Rows apart at the most for which a correlation is shown."""
 
 BAND = 1.96
-"""Standard deviations within which 95 % of chance lies."""
+"""Drawn: Standard deviations within which 95 % of chance lies."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +169,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
 
 
 def _varies(values: np.ndarray) -> bool:
-    return float(np.ptp(values)) > VARIES * float(np.abs(values).max())
+    return float(np.ptp(values)) > SLIGHT * float(np.abs(values).max())
 
 
 def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tuple[list[_Pull], np.ndarray]:

@@ -20,7 +20,6 @@ from aridcal.engine.corrections.labels import STATION
 from aridcal.engine.corrections.regional_kind import is_local, spread_out
 from aridcal.engine.corrections.sights import is_sight
 from aridcal.engine.fit.normal_equations import (
-    TINY,
     NormalEquations,
     accumulate,
     added,
@@ -29,17 +28,10 @@ from aridcal.engine.fit.normal_equations import (
     last_log_determinant,
     nested_solutions,
 )
+from aridcal.engine.levels import BLOCKS, DOUBT, FOLDS, LENIENT, PRICE, RARE
+from aridcal.engine.numerics import ROUNDS, TINY
 from aridcal.engine.search.change_points import walk_instead
-from aridcal.engine.search.evidence import (
-    SMOOTH_PRICE,
-    Score,
-    price,
-    shaped,
-    smooth_tail,
-    solve,
-    tail,
-    with_noise,
-)
+from aridcal.engine.search.evidence import Score, price, shaped, smooth_tail, solve, tail, with_noise
 from aridcal.engine.search.linear_model import Active, LinearModel
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
@@ -48,33 +40,16 @@ from aridcal.engine.search.state import State, activate, by_fold, with_candidate
 ALPHA = 3e-4
 """Chance that a clean campaign shows any effect at all, by these tests alone: one in three thousand."""
 
-SIBLING = 1e-2
-"""Chance of a candidate where several others of its family are in the model: that one more gear errs is no surprise then."""
-
 LEAST = 1e-2
 """Share of the squared error, on rows held back, that an effect must take away to matter: 0.5 % of the error."""
 
-ROBUST = 1e-3
-"""Chance of one candidate when rows may err together; it has stood out among all candidates before this is asked."""
-
-DOUBT = 0.05
-"""The same for a smooth function on rows held back, and for a step beside a slow change, beside their evidence: a second
-opinion, so the usual 5 %."""
-
-PARTS = 5
-"""Parts into which stretches of time are put to hold them back, as many as folds."""
-
-REGIONS = 10
-"""Regions that are held back whole, one after the other: nine tenths of the rows stay to fit with."""
-
 EXACTLY = 50
-"""Losses up to which chance of their signed ranks is counted out; more are normal to a tenth of the chance, as SciPy has it."""
-
-SHAPINGS = 4
-"""Times that shape and noise of a smooth function are found in turn, at the most."""
+"""Work: Losses up to which chance of their signed ranks is counted out; more are normal to a tenth of the chance, as SciPy has
+it."""
 
 SHAPED = 0.02
-"""Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found anew."""
+"""Work: Change of the logarithm of the noise that ends this, and below which what it leaves free of a prior is not found
+anew."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +108,7 @@ def _noise_with(state: State, equations: NormalEquations, precision: np.ndarray)
 def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
     """Score of a smooth function, shape and noise estimated in turn: without it, what it explains passes for noise."""
     total, score = with_columns(state, effect), rough
-    for _ in range(SHAPINGS):
+    for _ in range(ROUNDS):
         candidate = activate(state, effect, score)
         equations, precision = total.combined(candidate.modes), block_diag(state.precision, candidate.precision)
         sigma, likelihood = _noise_with(state, equations, precision)
@@ -143,7 +118,7 @@ def _refined_smooth(state: State, effect: Effect, rough: Score) -> Score:
     # The determinant of the marginal likelihood: the volume that its modes may still fill counts against it.
     volume = -last_log_determinant(equations.information(sigma) + precision, len(state.precision))
     twice = 2.0 * (likelihood - state.solution.likelihood) + volume
-    return replace(score, gain=0.5 * twice - SMOOTH_PRICE, p_value=smooth_tail(twice))
+    return replace(score, gain=0.5 * twice - 2.0 * PRICE, p_value=smooth_tail(twice))
 
 
 def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judgement:
@@ -157,7 +132,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
             of the others of that family alone.
     """
     siblings = choices.siblings(state.active, effect)
-    chance, tested = (SIBLING, siblings) if siblings else (ALPHA, choices.count)
+    chance, tested = (LENIENT, siblings) if siblings else (ALPHA, choices.count)
     tested += effect.looked if effect.hinted else 0
     model = state.model
     if effect.at is not None:  # it is the best of all rows at all places: both frames, each joint and each thing
@@ -191,13 +166,13 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
         along = _best_function(state, candidate) if effect.smooth else np.eye(len(effect.coefficients))
         robust, least = (
             effect.looked * _p_value_of_clusters(state, effect, along, configuration),
-            DOUBT if siblings else ROBUST,
+            DOUBT if siblings else RARE,
         )
     if robust > least:
         return judgement(share, f"the gain is not consistent across rows (p = {robust:.2g})")
     if not set(sources(effect)) <= set(model.joints):
         robust = _p_value_over_time(state, candidate)
-        if robust > ROBUST:
+        if robust > RARE:
             return judgement(share, f"seen in too few separate periods of time (p = {robust:.2g})")
     if effect.at is not None:
         robust = walk_instead(model, state, candidate)
@@ -216,7 +191,7 @@ def held_out_whole(state: State, candidate: Active) -> float:
     if not KINDS[effect.kind].asked or is_local(effect):
         return 1.0
     places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
-    middles, _ = spread_out(places, REGIONS)
+    middles, _ = spread_out(places, BLOCKS)
     part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
     without, with_it = held_back(state, candidate, part).sum(axis=(1, 2))
     return float(1.0 - with_it / without)
@@ -248,7 +223,7 @@ def _p_value_over_time(state: State, candidate: Active) -> float:
     if not candidate.effect.smooth:
         return _p_value_of_clusters(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = held_back(state, candidate, run % PARTS).sum(axis=1)
+    loss = held_back(state, candidate, run % FOLDS).sum(axis=1)
     return _p_value_of_losses(np.array([np.bincount(run, each) for each in loss]))
 
 

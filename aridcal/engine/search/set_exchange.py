@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.engine.corrections.effect import Effect
+from aridcal.engine.levels import STRONG
 from aridcal.engine.search.linear_model import Active
 from aridcal.engine.search.ranking import rank, with_flags
 from aridcal.engine.search.sets import Choices, evidence_of_set, family
@@ -18,23 +19,21 @@ from aridcal.engine.search.steps import grown, tidied
 from aridcal.system.progress import Progress
 
 FEWEST = 4
-"""Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
+"""Work: Effects of a model from which sets are exchanged: of fewer the best is found by exchanging single ones."""
 
 MOST_GROWN = 28
-"""Effects of such a set at the most: four for each joint of a seven-joint arm, as gears err once and twice a turn at each."""
+"""Work: Effects of such a set at the most: four for each joint of a seven-joint arm, as gears err once and twice a turn at
+each."""
 
 LOWEST = 3
 """Lowest orders of which all up to each are tried together at all joints: gears and rings err once or twice a turn first."""
 
 TRIED = 3
-"""Sets from which one is grown, those with the most evidence as they are: from others one comes back to the set before."""
+"""Work: Sets from which one is grown, those with the most evidence as they are: from others one comes back to the set
+before."""
 
 FAMILIES = 4
-"""Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
-
-SURE = 3.0
-"""[nat] by which another set must have more evidence: odds of 20 to 1, as for causes that are told apart. One of fewer curves
-needs no more than the same: of two that are as likely the one that says more holds where nothing was measured."""
+"""Work: Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
 
 
 def regrown(state: State, choices: Choices, progress: Progress) -> State:
@@ -58,7 +57,7 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
     for trial in progress.over(sets, "sets of effects"):
         trial = grown(trial, choices, MOST_GROWN, False, progress)[0]
         trial = tidied(trial, choices, 1, progress)
-        least = before if _curves(trial) < curves else before + SURE
+        least = before if _curves(trial) < curves else before + STRONG
         if (after := evidence(trial)) > max(value, least):
             best, value = trial, after
     return best

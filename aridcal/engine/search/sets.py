@@ -10,16 +10,11 @@ from math import lgamma, log
 import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.fit.normal_equations import TINY, inverse
-from aridcal.engine.search.evidence import SMOOTH_PRICE
+from aridcal.engine.fit.normal_equations import inverse
+from aridcal.engine.levels import PRICE, SEVERAL
+from aridcal.engine.numerics import TINY
 from aridcal.engine.search.linear_model import Active
 from aridcal.engine.search.state import State, solve_state
-
-SEVERAL = 2
-"""Members of a family in the model from which the others are expected: one alone says nothing of them."""
-
-PLAIN_PRICE = 1.0
-"""[nat] for the size of a plain effect's prior, as for each number that shapes a smooth function."""
 
 Family = tuple[str, tuple[str, ...]]
 """Kind and motion: the same cause at other places, of whatever order."""
@@ -129,11 +124,11 @@ def evidence_of_set(state: State, choices: Choices, in_use: np.ndarray) -> float
     size, plain = np.ones(len(beta)), np.zeros(len(beta), dtype=bool)
     for a, place in zip(state.active, state.places[1:], strict=True):
         if a.effect.smooth:
-            charged += SMOOTH_PRICE
+            charged += 2.0 * PRICE
             continue
         variance = (float(beta[place] @ beta[place]) + float(np.trace(V[place, place]))) / (place.stop - place.start)
         size[place], plain[place] = np.sqrt(max(variance, TINY)), True
-        charged += PLAIN_PRICE
+        charged += PRICE
     if plain.any():
         apart = beta[plain] / size[plain]
         spread = V[np.ix_(plain, plain)] / np.outer(size[plain], size[plain])

@@ -14,18 +14,16 @@ from scipy.linalg import block_diag
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.smooth import samples_root
 from aridcal.engine.fit.flags import flagged
-from aridcal.engine.fit.normal_equations import RIDGE, NormalEquations, accumulate, conditional
+from aridcal.engine.fit.normal_equations import NormalEquations, accumulate, conditional
 from aridcal.engine.fit.normal_equations import solve as solve_equations
 from aridcal.engine.instruments.channels import Channels, flat, spread
+from aridcal.engine.numerics import RIDGE, ROUNDS
 from aridcal.engine.search.evidence import Score, Solution, noise_left, solve
 from aridcal.engine.search.linear_model import Active, LinearModel
 from aridcal.engine.search.products import Chunk, Member, Products
 
 FAINT = 0.02
-"""A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
-
-FLAGGING = 6
-"""Times that flags and coefficients are found in turn; two are usual."""
+"""Work: A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
 
 T = TypeVar("T")
 
@@ -225,7 +223,7 @@ def solve_state(
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
     sound = in_use
-    for _ in range(FLAGGING):
+    for _ in range(ROUNDS):
         in_use = sound
         unused, extra, equations = _in_use(model, active, every, in_use)
         solution = solve(equations, precision, sigma)

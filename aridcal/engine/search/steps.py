@@ -19,7 +19,7 @@ from aridcal.engine.search.state import State, activate, solve_state, without_ef
 from aridcal.system.progress import Progress
 
 JUDGED = 4
-"""Candidates that are tried on rows held back, the best first, before a step gives up."""
+"""Work: Candidates that are tried on rows held back, the best first, before a step gives up."""
 
 BETTER = 1.0
 """[nat] by which another candidate must do better to take an effect's place: without it, near twins change for ever."""

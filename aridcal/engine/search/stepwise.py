@@ -15,10 +15,10 @@ from aridcal.engine.search.steps import grown, tidied
 from aridcal.system.progress import SILENT, Progress
 
 MOST = 14
-"""Effects that are added at the most: two for each joint of a seven-joint arm."""
+"""Work: Effects that are added at the most: two for each joint of a seven-joint arm."""
 
 PASSES = 4
-"""Times that effects are added and tidied in turn, where that is cheap."""
+"""Work: Times that effects are added and tidied in turn, where that is cheap."""
 
 
 @dataclass(frozen=True)

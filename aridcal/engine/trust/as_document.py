@@ -11,7 +11,7 @@ from aridcal.engine.trust.halves import Halves
 from aridcal.engine.trust.second_look import SecondLook
 
 MOST = 20
-"""Rows of which the influence is written."""
+"""Drawn: Rows of which the influence is written."""
 
 
 def document(look: SecondLook, train: Dataset) -> dict[str, Any]:

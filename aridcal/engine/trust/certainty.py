@@ -16,13 +16,13 @@ from aridcal.engine.trust.tolerance import Kept, beyond, instrument_noise, kept,
 from aridcal.engine.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
-"""Configurations among which those of a slice are looked for."""
+"""Work: Configurations among which those of a slice are looked for."""
 
 THICK = 0.06
-"""Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""
+"""Drawn: Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""
 
 IN_SLICE = 400
-"""Configurations of a slice: more would be dots upon dots."""
+"""Drawn: Configurations of a slice: more would be dots upon dots."""
 
 PLANES = ((0, 2), (0, 1))
 """Axes of the base frame along the slices: a view from the side, and one from above."""

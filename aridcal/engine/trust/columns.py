@@ -24,7 +24,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
 NUMBERS = 10_000_000
-"""Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
+"""Work: Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
 
 
 @dataclass(frozen=True)

@@ -12,16 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.corrections.effect import ANGULAR
+from aridcal.engine.fit.identifiable import CARRIES
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.columns import columns_of
 from aridcal.system.progress import SILENT, Progress
 
-CARRIES = 0.3
-"""Share of a combination's largest part from which another part is named in it: less changes its square by a tenth."""
-
 MOST_PARTS = 4
-"""Parts of a combination that are named; no one can picture more."""
+"""Drawn: Parts of a combination that are named; no one can picture more."""
 
 TOGETHER = 3.0
 """Times that a sum is known better than the difference, or the other way round, from which a pair is worth a sentence: the two
@@ -32,7 +30,7 @@ SPARED = 2.0
 is really nominal costs 1 on average (Akaike 1973; Mallows' C_p)."""
 
 ROWS = 300
-"""Rows over which the shift of the target is averaged."""
+"""Work: Rows over which the shift of the target is averaged."""
 
 
 @dataclass(frozen=True)

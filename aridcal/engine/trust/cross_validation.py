@@ -19,23 +19,23 @@ import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import carried
-from aridcal.engine.fit.normal_equations import RIDGE, solve
+from aridcal.engine.fit.normal_equations import solve
 from aridcal.engine.fit.problem import unscaled
 from aridcal.engine.instruments.channels import norms, spread
+from aridcal.engine.levels import BLOCKS
 from aridcal.engine.model.many_rows import blocks
+from aridcal.engine.numerics import RIDGE
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
 ROWS = 5000
-"""Rows at the most that are left out in turn: one of so many moves nothing, and errors of so many are known to a per cent."""
-
-FOLDS = 10
-"""Parts of the rows that are left out in turn. Convention: nine tenths stay to fit with."""
+"""Work: Rows at the most that are left out in turn: one of so many moves nothing, and errors of so many are known to a per
+cent."""
 
 LONE = 1e-9
-"""What is left of a row's own share, beside other rows', below which it is alone in telling of something."""
+"""Work: What is left of a row's own share, beside other rows', below which it is alone in telling of something."""
 
 DECIDES = 1.0
 """Standard deviations of the predicted target by which leaving out one row may move it: beyond it one measurement weighs
@@ -114,14 +114,14 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
     """
     data = train.select(rows.rows)
     together = held_together(data)
-    if len(fit.theta) == 0 or together.max(initial=0) + 1 < FOLDS:
+    if len(fit.theta) == 0 or together.max(initial=0) + 1 < BLOCKS:
         return None
-    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % FOLDS)[together]
+    fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % BLOCKS)[together]
     things = rows.solved()
     sums_of_all = rows.equations(things) if rows.groups is not None else None
     whole = len(rows) / max(int((~fit.outliers).sum()), 1) * fit.information
     residuals = rows.r.copy()
-    for k in range(FOLDS):
+    for k in range(BLOCKS):
         out = fold == k
         things_of_rest = rows.solved(~out)
         if sums_of_all is None:  # sums over rows: the others' are all less those of these
@@ -141,7 +141,7 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
             by_things = np.einsum("nmu,nu->nm", rows.B[out], y[group])
             residuals[out] -= np.where(of_things[:, None], by_things, 0.0)
             residuals[out] = np.where(undetermined[:, None], np.nan, residuals[out])
-    errors = np.array([_rms(residuals[fold == k], rows, fit, data, fold == k) for k in range(FOLDS)])
+    errors = np.array([_rms(residuals[fold == k], rows, fit, data, fold == k) for k in range(BLOCKS)])
     return Folds(errors, _rms(rows.r, rows, fit, data, np.ones(len(rows), dtype=bool)))
 
 

@@ -13,27 +13,23 @@ from aridcal.engine.corrections.catalogue import Barred, merged
 from aridcal.engine.corrections.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import TINY, conditional
+from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import things_again
 from aridcal.engine.instruments.channels import Channels, columns
+from aridcal.engine.levels import FAINT, FOLDS
+from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.confounded import Tied
 from aridcal.engine.search.diagnose import Diagnosed
 from aridcal.engine.search.noise_tests import Clue
-from aridcal.engine.search.scoring import PARTS, held_back
+from aridcal.engine.search.scoring import held_back
 
 GRID = 160
-"""Points of a curve, at least: it is drawn without corners."""
+"""Drawn: Points of a curve, at least: it is drawn without corners."""
 
 PER_PERIOD = 16
-"""Points at the least in each period of a harmonic, for the same reason."""
-
-FLOOR_P = 1e-300
-"""Smallest p-value that is written: below it a float has no digits left."""
-
-FAINT = 0.05
-"""Rows at which a motion moves the target by less than this share of the median lever say nothing of it."""
+"""Drawn: Points at the least in each period of a harmonic, for the same reason."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +170,7 @@ def _named(
         named = NamedEffect(
             effect=effect,
             declared=who in declared,
-            p_value=max(min(1.0, p_value), FLOOR_P),
+            p_value=max(min(1.0, p_value), TINY),
             before=_with_effects(fit_problem, fit, others)[scored],
             after=final[scored],
             reached=final,
@@ -198,7 +194,7 @@ def _over_time(diagnosed: Diagnosed) -> float | None:
         return None
     other_effects = [a for a in state.active if a is not of_time[-1]]
     without_it = state.with_active(other_effects, fixed=True)
-    squares = held_back(without_it, of_time[-1], linear.run[state.used] % PARTS)
+    squares = held_back(without_it, of_time[-1], linear.run[state.used] % FOLDS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 

@@ -29,34 +29,33 @@ from scipy.special import fdtrc
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.elimination import Eliminated
-from aridcal.engine.fit.flags import FLOOR
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import across, pseudo_inverse, root_of_inverse
+from aridcal.engine.levels import RARE
 from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
 ROWS = 1000
-"""Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there are."""
+"""Work: Rows at the most that are compared: 300 show an error as large as the noise, and every draw costs as many as there
+are."""
 
 DRAWS = 199
-"""Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
+"""Work: Sets of noise that say what chance does: a p-value near 0.05 is then known to 0.015. Smaller ones are bounded by
 Bonferroni's."""
 
-DISAGREE = 1e-3
-"""Chance of a false alarm: of a thousand clean calibrations one is said to disagree with itself."""
-
 RANK = 1e-8
-"""Share of the largest eigenvalue, coefficients scaled alike, below which a half tells nothing of a difference: rounding of
-the sums leaves 1e-12, and a direction known 10,000 times worse than another would only dilute it."""
+"""Work: Share of the largest eigenvalue, coefficients scaled alike, below which a half tells nothing of a difference: rounding
+of the sums leaves 1e-12, and a direction known 10,000 times worse than another would only dilute it."""
 
 SMALLEST = 0.2
 """Share of the rows below which a side is no half: a few rows of it would decide."""
 
 EXACT = 10.0
-"""Times what counts as rounding: below it there is no noise that the halves could be compared with."""
+"""Work: Times what counts as rounding: below it there is no noise that the halves could be compared with."""
 
 PATTERNS = {
     "low and high": (0, 0, 0, 0, 1, 1, 1, 1),
@@ -117,7 +116,7 @@ class Halves:
     @property
     def agree(self) -> bool:
         """Whether noise explains what differs."""
-        return self.p_value >= DISAGREE
+        return self.p_value >= RARE
 
 
 def halves(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Halves | None:

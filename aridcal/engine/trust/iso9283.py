@@ -42,19 +42,15 @@ from aridcal.engine.rows.dataset import Dataset
 STANDARD = "ISO 9283:1998"
 
 ASKED_CYCLES, ASKED_POSES = 30, 5
-"""What the standard asks for: cycles of each of the poses P1 to P5 (clause 6)."""
+"""Drawn: What the standard asks for: cycles of each of the poses P1 to P5 (clause 6)."""
 
 ASKED_HOURS = 8.0
-"""Duration of the standard's test of drift (7.6)."""
+"""Drawn: Duration of the standard's test of drift (7.6)."""
 
 MOST_PAIRED = 20
-"""Poses of which all pairs have a distance: of 20 poses 190, where the standard asks for one."""
+"""Work: Poses of which all pairs have a distance: of 20 poses 190, where the standard asks for one."""
 
-SMALL_BELOW = 10
-"""Cycles below which RP comes out markedly too small on average: normal noise gives 72 % of it with 3 cycles, 85 % with 5 and
-93 % with 10."""
-
-WINDOW = 10
+ENOUGH_CYCLES = 10
 """Cycles at the beginning and at the end between which drift is told, of fewer than 20 cycles half of them: of ten cycles a
 repeatability is known to a quarter."""
 
@@ -251,7 +247,7 @@ def _of_pose(rows: Dataset, group: np.ndarray, off: np.ndarray) -> dict[str, flo
     centres = [where[sides == side].mean(axis=0) for side in set(sides.tolist()) - {0}]
     if len(centres) > 1:
         figures["vAP"] = max(float(np.linalg.norm(a - b)) for a, b in itertools.combinations(centres, 2))
-    window = min(WINDOW, len(group) // 2)
+    window = min(ENOUGH_CYCLES, len(group) // 2)
     if window >= LEAST_CYCLES and not np.isnan(_hours(rows, group)):
         first, last = where[:window], where[-window:]
         figures["dAP"] = abs(accuracy_of(first) - accuracy_of(last))

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient, Eff
 from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import IN_SPACE, is_of_labels, labels_of, spread_out
 from aridcal.engine.corrections.sights import TARGET
-from aridcal.engine.fit.least_squares import Fit, fit, thin
+from aridcal.engine.fit.least_squares import UNKNOWN_NOISE, Fit, fit, thin
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import recentred
@@ -24,12 +24,14 @@ from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Joint
 from aridcal.engine.rows.dataset import Dataset, dataset
+from aridcal.engine.search.linear_model import PLAUSIBLE
 
 MOST_REGIONS = 28
-"""One for each square of the report's strip."""
+"""Drawn: One for each square of the report's strip."""
 
 COUNTS = (1, 2, 3, 4, 6, 8, 11, 15, 20, MOST_REGIONS)
-"""Numbers of regions that are tried, about 1.4 apart, until their URDFs are as near to the whole model as is worth anything."""
+"""Work: Numbers of regions that are tried, about 1.4 apart, until their URDFs are as near to the whole model as is worth
+anything."""
 
 NEAR = 0.3
 """Of the noise in space: a URDF that is nearer than that to the whole model adds 4 % to what the noise leaves."""
@@ -38,14 +40,8 @@ ROWS_OF_A_REGION = 6
 """Fitted rows for each region: fewer regions than squares where there are few rows at each."""
 
 ROWS_AROUND = 40
-"""Postures to which a region's constants are fitted: three numbers each, at the least, for the twenty or thirty of an arm."""
-
-DEVIATION = 5e-3
-"""[m] and [rad]: what a constant of one region differs by from the one model is less. It decides only what these rows do not."""
-
-
-USUAL = 1e-4
-"""[m] and [rad]: what a place and a turn are weighed by where the instruments measure something else, pixels, say."""
+"""Work: Postures to which a region's constants are fitted: three numbers each, at the least, for the twenty or thirty of an
+arm."""
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ def _places(fit: Fit, rows: Dataset) -> np.ndarray:
 def _noise(final: Fit, rows: Dataset) -> list[float]:
     """Sigma of a place and of a turn, per axis, [m] and [rad]."""
     sigmas = {channel.name: float(sigma) for channel, sigma in zip(rows.channels, final.sigma, strict=True)}
-    return [sigmas.get(channel.name, USUAL) for channel in (TARGET_POSITION, TARGET_ROTATION)]
+    return [sigmas.get(channel.name, UNKNOWN_NOISE) for channel in (TARGET_POSITION, TARGET_ROTATION)]
 
 
 def _covariates(final: Fit, rows: Dataset, effects: Sequence[Effect]) -> tuple[tuple[str, ...], np.ndarray]:
@@ -259,6 +255,6 @@ def _constants(final: Fit, around: Dataset) -> Fit:
     of_arm = [c for c in values if of_things[c] or (c.basis.constant and c.where not in frames)]
     coefficients = tuple(dict.fromkeys([*of_arm, *first]))
     theta = np.array([values.get(c, 0.0) for c in coefficients])
-    prior = Prior(theta, np.eye(len(theta)) / DEVIATION**2)
+    prior = Prior(theta, np.eye(len(theta)) / PLAUSIBLE**2)
     question = problem(final.model.with_coefficients(coefficients), poses)
     return fit(question, theta, np.ones(len(poses)), prior)

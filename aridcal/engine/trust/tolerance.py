@@ -25,6 +25,7 @@ from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import WORTH_SAYING, Repeats
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
+from aridcal.engine.levels import DOUBT
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.target_uncertainty import at_target
 from aridcal.engine.trust.workspace import Knowledge, Workspace
@@ -36,14 +37,10 @@ CONFIDENCE = 0.95
 """How sure that must be: of calibrations that are said to be within, at most one in twenty is not. Convention."""
 
 DRAWS = 400
-"""Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
+"""Work: Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
 
 AXES = 3
-"""Of a place, or of a turn."""
-
-DOUBT = 0.05
-"""How rarely as many held-out rows as were seen may be off by more than the tolerance, if the error is what is said of it."""
-
+"""Work: Of a place, or of a turn."""
 
 UNKNOWN_NOISE = (
     "the instrument's noise is not declared, or cannot be what is declared: all that scatters counts as the robot's"

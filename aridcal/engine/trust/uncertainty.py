@@ -14,14 +14,12 @@ from aridcal.engine.fit.residual import linearise
 from aridcal.engine.instruments.channels import Channels
 from aridcal.engine.model.model import Rows
 from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.numerics import RANK
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
 REALIGN_STEPS = 12
-"""Gauss-Newton steps at the most to fit two frames anew; five are usual."""
-
-SETTLED = 1e-12
-"""[m] and [rad]: a step of the frames below this is rounding."""
+"""Work: Gauss-Newton steps at the most to fit two frames anew; five are usual."""
 
 FAR = 10.0
 """Robust scales beyond which a held-out row is a gross outlier: so far that no model is to blame."""
@@ -104,7 +102,7 @@ def realigned(fit: Fit, other: Problem) -> np.ndarray:
         moved = np.zeros(len(theta))
         moved[frames] = step
         other = other.stepped(linear.step_of_groups(moved))
-        if np.all(np.abs(step) < SETTLED):
+        if np.all(np.abs(step) < RANK):
             break
     return r
 

@@ -53,25 +53,26 @@ SHARES = (0.03, 0.1, 0.2, 0.35, 0.6, 1.0, 3.0)
 sigma, which the mean of 30 rows does not show; with a larger one the scatter of the rows is nearly all that there is."""
 
 KEPT = 0.01
-"""Probability below which a process is not kept: it could change no chance of 1 % by more than that of the others is known."""
+"""Work: Probability below which a process is not kept: it could change no chance of 1 % by more than that of the others is
+known."""
 
 ROWS = 600
-"""Rows at the most that are asked: the chance of each process is then decided where they tell of it at all."""
+"""Work: Rows at the most that are asked: the chance of each process is then decided where they tell of it at all."""
 
 CENTRES = 60
-"""Configurations around which a process over all joints is spanned; six joints at each."""
+"""Work: Configurations around which a process over all joints is spanned; six joints at each."""
 
 BEYOND = 0.5
-"""Lengths by which the nodes of a process over one joint reach beyond what was seen."""
+"""Work: Lengths by which the nodes of a process over one joint reach beyond what was seen."""
 
 TRAVEL = 4.0
 """[rad] that count as the seen travel of a joint that slides: what joints that turn usually go through."""
 
 NODES = 40
-"""Of a sum over a joint's range: it errs by less than a thousandth where the process is longer than a tenth of that."""
+"""Work: Of a sum over a joint's range: it errs by less than a thousandth where the process is longer than a tenth of that."""
 
 RIDGE = 1e-6
-"""Added to the unit variance of a process at its nodes: more than rounding, and a thousandth of its sigma."""
+"""Work: Added to the unit variance of a process at its nodes: more than rounding, and a thousandth of its sigma."""
 
 
 def zero_of(joint: Joint) -> Coefficient:

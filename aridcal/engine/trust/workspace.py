@@ -35,7 +35,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.coverage import CHANNELS, Seen, holes, largest
 
 SAMPLES = 512
-"""Configurations over the workspace: a share of 5 % is then known to 1 %, and the worst of them is that of all but some
+"""Work: Configurations over the workspace: a share of 5 % is then known to 1 %, and the worst of them is that of all but some
 thousandths."""
 
 LOOSE = 0.1
@@ -52,14 +52,14 @@ Untold = tuple[tuple[Coefficient, float], ...]
 """A combination of constants, each with how far it may be off together with the others, [m] and [rad]."""
 
 ENOUGH = 20_000
-"""Rows that tell what was measured, of more: sums over so many are those of all to a hundredth, and the largest uncertainty among
-them is that of all but one in some thousands."""
+"""Work: Rows that tell what was measured, of more: sums over so many are those of all to a hundredth, and the largest
+uncertainty among them is that of all but one in some thousands."""
 
 ASKED = 100
-"""Rows by which it is told whether something moves the whole arm as one body: six would do."""
+"""Work: Rows by which it is told whether something moves the whole arm as one body: six would do."""
 
 FELT = 1e-7
-"""[m]: what a motion is off by from that of one body, RMS, to be none; rounding is a thousand times smaller."""
+"""Work: [m]: what a motion is off by from that of one body, RMS, to be none; rounding is a thousand times smaller."""
 
 
 @dataclass(frozen=True)

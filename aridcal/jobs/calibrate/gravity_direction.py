@@ -8,7 +8,7 @@ whitened residual r leaves
 .. math:: S(u) = \min_{\theta, c} \Big| r - J \theta - \sum_k c_k \sum_i u_i C_{ki} \Big|^2
 
 S is compared at its smallest with S at the declared direction, on places held back in turn, each place one number. Joints give
-way in the direction of the pull: where compliances known to :data:`SIGN_SIGMAS` sigmas differ in sign, nothing is said.
+way in the direction of the pull: where compliances known to :data:`CERTAINLY` sigmas differ in sign, nothing is said.
 """
 
 from __future__ import annotations
@@ -23,39 +23,30 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import RIDGE, inverse
+from aridcal.engine.fit.normal_equations import inverse
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import eliminated
 from aridcal.engine.instruments.channels import spread
+from aridcal.engine.levels import CERTAINLY, FOLDS
 from aridcal.engine.model.predictions import rows_of_data
+from aridcal.engine.numerics import RIDGE
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.noise_tests import SURE
 
-STANDARD_GRAVITY = 9.81
-"""[m/s^2]: only the direction is asked about."""
-
 MOST_ROWS = 600
-"""Rows that are looked at, spread evenly over more: a direction that matters shows in these."""
-
-FOLDS = 5
-"""Parts of the places that are held back in turn. Convention."""
-
-FEWEST_PLACES = 25
-"""Places at the least: five in each part."""
+"""Work: Rows that are looked at, spread evenly over more: a direction that matters shows in these."""
 
 LEAST_LEAN = np.radians(20.0)
 """A base that is not level leans by a degree or two; a robot on a wall, under a ceiling or on a wedge by more than this. A load
 under gravity 20 degrees off is still right to 6 %."""
 
-SIGN_SIGMAS = 4.0
-"""Sigmas from which the sign of a compliance counts."""
-
 START_DIRECTIONS = 150
-"""Directions that the search begins with."""
+"""Work: Directions that the search begins with."""
 
 COARSE_STEP, FINE_STEP = 0.1, 2e-3
-"""[rad]: they are some 12 degrees apart, and a tenth of a degree changes no load that matters."""
+"""Work: [rad]: they are some 12 degrees apart, and a tenth of a degree changes no load that matters."""
 
 
 def gravity_direction(fit: Fit, rows: Dataset) -> str:
@@ -76,7 +67,7 @@ def gravity_direction(fit: Fit, rows: Dataset) -> str:
     some = some.select(np.linspace(0, len(some) - 1, min(len(some), MOST_ROWS)).round().astype(int))
     place = held_together(some)
     loads = _loads(fit, some)
-    if place.max() + 1 < FEWEST_PLACES or not loads:
+    if place.max() + 1 < FOLDS**2 or not loads:
         return ""
     r, J = _columns(fit, some, loads)
     sums = _Sums(r, J, len(loads) // 3, place)
@@ -90,7 +81,7 @@ def _loads(fit: Fit, rows: Dataset) -> dict[tuple[str, int], np.ndarray]:
     world = rows_of_data(model, rows).world
     tables = []
     for axis in np.eye(3):
-        around = replace(model.around, gravity=STANDARD_GRAVITY * axis)
+        around = replace(model.around, gravity=-LEVEL_GRAVITY[2] * axis)
         tables.append(covariate_table(model.robot, rows.readings, payload, around, world, {".gravity_"}))
     torques = {
         (name, i): tables[i].get(f"{name}.gravity_torque", np.zeros(0)) for name in model.robot.names for i in range(3)
@@ -209,7 +200,7 @@ def _answer(sums: _Sums, declared: np.ndarray) -> str:
     compliance, free = x[sums.free :].reshape(sums.joints, 3) @ u, sums.free
     freedom = max(sums.r.size - len(back) - 2, 1)
     z = compliance / np.sqrt(np.maximum(np.diag(back)[free:] * squares / freedom, np.finfo(float).tiny))
-    sure = z[np.abs(z) > SIGN_SIGMAS]
+    sure = z[np.abs(z) > CERTAINLY]
     if not len(sure) or (np.sign(sure) != np.sign(sure[0])).any():
         return ""
     u = u * np.sign(sure[0])
@@ -224,7 +215,7 @@ def _answer(sums: _Sums, declared: np.ndarray) -> str:
         p_value = float(stdtr(len(gain) - 1, -gain.mean() / max(error, np.finfo(float).tiny)))
     if p_value >= SURE:
         return ""
-    vector = ", ".join(f"{STANDARD_GRAVITY * component:.2f}" for component in u)
+    vector = ", ".join(f"{-LEVEL_GRAVITY[2] * component:.2f}" for component in u)
     return (
         f"joints give way as if gravity pulled {np.degrees(angle):.0f} degrees from where the campaign says: is the robot "
         f"mounted otherwise? Then set `robot.gravity: [{vector}]`, in the base frame"

@@ -21,43 +21,38 @@ import numpy as np
 from scipy.special import expit
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.normal_equations import TINY
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import Channels
+from aridcal.engine.levels import FEWEST_ROWS, FEWEST_TOGETHER
+from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import SURE, Clue
 from aridcal.system.errors import listed
 
-LEAST_ROWS = 40
-"""Rows at the least: a twentieth of them is two."""
-
 LEAST_SHARE = 0.04
 """Share of the rows that a group has at the least: fewer are outliers, and flagged as such."""
-
-LEAST_GROUP = 5
-"""Rows of a group at the least: with long tails the few rows farthest out often lie on one side."""
 
 EVEN_SHARE = 0.25
 """Share from which random signs may leave two groups much as they were."""
 
 LEAST_STATISTIC = 20.0
-"""T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and :data:`DRAWS` of
-them take as many times as long."""
+"""Work: T below which nobody draws anything: of normal noise in three axes one set of rows in a hundred has more, and
+:data:`DRAWS` of them take as many times as long."""
 
 DRAWS = 60
-"""Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
+"""Work: Sets of rows that say what chance does; their largest T is Gumbel's, whose scale is then known to a tenth."""
 
 MOST_ROWS = 600
-"""Rows that are looked at, spread evenly over more."""
+"""Work: Rows that are looked at, spread evenly over more."""
 
 STEPS = 25
-"""Steps of expectation and maximisation: groups that differ by two sigmas have settled then."""
+"""Work: Steps of expectation and maximisation: groups that differ by two sigmas have settled then."""
 
 FIRST_SHARE = 0.2
-"""Share of the rows that the search begins with, those farthest along a direction."""
+"""Work: Share of the rows that the search begins with, those farthest along a direction."""
 
 MOST_EXPLAINED = 0.98
-"""Largest share of the variance along its direction that a shift may explain: the groups have some width."""
+"""Work: Largest share of the variance along its direction that a shift may explain: the groups have some width."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +78,7 @@ def groups(rows: Dataset, residual: np.ndarray, fit: Fit) -> list[Clue]:
     views = []
     for number in range(len(rows.blocks)):
         of_block = np.flatnonzero(rows.labels.block == number)
-        if len(of_block) < LEAST_ROWS:
+        if len(of_block) < FEWEST_ROWS:
             continue
         of_block = of_block[np.linspace(0, len(of_block) - 1, min(len(of_block), MOST_ROWS)).round().astype(int)]
         part = rows.select(of_block)
@@ -114,7 +109,7 @@ def _clue(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: i
         return None
     few = chance > 0.5 if share <= 0.5 else chance < 0.5
     smaller = min(share, 1.0 - share)
-    if min(few.sum(), len(few) - few.sum()) < LEAST_GROUP:
+    if min(few.sum(), len(few) - few.sum()) < FEWEST_TOGETHER:
         return None
     rng = np.random.default_rng(0)
     signs = rng.choice([-1.0, 1.0], (DRAWS, len(x), 1))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aridcal.engine.levels import STILL
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
@@ -16,9 +17,6 @@ from aridcal.files.read import load_measurements
 from aridcal.jobs.head1992.observations import Detections, Read
 from aridcal.system.errors import CampaignError, MeasurementError
 from aridcal.system.progress import SILENT, Progress
-
-LEAST_TRAVEL = 1e-3
-"""[rad] or [m]: a joint that covers less does not move."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +109,7 @@ def _check_motion(campaign: Campaign, robot: Robot, rows: Dataset) -> tuple[str,
     readings = rows.readings[rows.train]  # cells of joints off a row's path may be empty
     high, low = (np.where(np.isnan(readings), end, readings) for end in (-np.inf, np.inf))
     travel = high.max(axis=0) - low.min(axis=0)
-    still = [name for name, moved in zip(rows.names, travel, strict=True) if 0.0 <= moved < LEAST_TRAVEL]
+    still = [name for name, moved in zip(rows.names, travel, strict=True) if 0.0 <= moved < STILL]
     if len(still) == len(rows.names):
         count = rows.train.sum()
         why = "there is only one row to fit" if count == 1 else f"no joint moves in any of its {count} rows"

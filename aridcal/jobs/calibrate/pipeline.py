@@ -61,10 +61,10 @@ LEAST_NUMBERS = 3
 """Numbers of a row that are not equal twice by chance; a gauge's one, to hundredths of a millimetre, often is."""
 
 COPY_TOLERANCE = 1e-8
-"""[rad] or [m]: joints and measurement of a copy differ by less; it may have been written with other digits."""
+"""Work: [rad] or [m]: joints and measurement of a copy differ by less; it may have been written with other digits."""
 
 TRACED_ROWS = 50_000
-"""Rows at the most whose residuals are traced to joints and columns: these tell it by a chance of 1e-300."""
+"""Work: Rows at the most whose residuals are traced to joints and columns: these tell it by a chance of 1e-300."""
 
 ONE_BODY = (
     "{} targets keep their distances exactly: they were made from one pose of one body, and count as one measurement"

@@ -10,10 +10,12 @@ from scipy.special import fdtrc
 
 from aridcal.engine.corrections.catalogue import KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.fit.flags import FLOOR, MEASURED, Cluster, cluster
+from aridcal.engine.fit.flags import MEASURED, Cluster, cluster
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
+from aridcal.engine.levels import FEWEST_TOGETHER, SEVERAL
+from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.loop import LEAST_FREEDOM
@@ -22,12 +24,6 @@ from aridcal.engine.search.noise_tests import Clue
 MANY_FLAGGED = 0.03
 """Share of flagged held-out rows above which nobody may say that only noise is left: a sound setup loses some rows in a
 thousand, and what is flagged away is not explained."""
-
-LEAST_FLAGGED = 2
-"""Flagged held-out rows below which their share says nothing: one of thirty may be a reflector that was lost."""
-
-LEAST_CONFIGURATIONS = 5
-"""Held-out configurations from which their error is compared with that of the fitted rows."""
 
 NOISE_UNKNOWN = "noise_unknown"
 """Reservation to ``noise_floor``: nobody has declared the noise, and no repeats show it."""
@@ -168,7 +164,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     """
     train = rows.train & ~outlier
     configurations = len(np.unique(held_together(rows)[test]))
-    if configurations < LEAST_CONFIGURATIONS or fit.freedom <= 0:
+    if configurations < FEWEST_TOGETHER or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
     variance = spread(fit.estimated**2, rows.channels)
@@ -208,7 +204,7 @@ def _model_variance(rows: Dataset, fit: Fit) -> np.ndarray:
 def _many_flagged(test: np.ndarray, residual: np.ndarray, outlier: np.ndarray) -> Clue | None:
     """Are more held-out rows flagged than a sound setup loses?"""
     held_out, flagged = int(test.sum()), int((test & outlier).sum())
-    if flagged < LEAST_FLAGGED or flagged <= MANY_FLAGGED * held_out:
+    if flagged < SEVERAL or flagged <= MANY_FLAGGED * held_out:
         return None
     what = (
         f"{flagged} of {held_out} held-out rows are flagged as outliers: no figure without them speaks for these rows"

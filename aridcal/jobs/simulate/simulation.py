@@ -23,6 +23,7 @@ from aridcal.engine.inverse.reachable import draw_readings
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.doty import links_down
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.files.campaign import DiagnosisSettings, nominal_robot
 from aridcal.files.orientations import QUATERNION, column_of
 from aridcal.files.quantities import POSITION
@@ -262,7 +263,7 @@ def surroundings(scenario: Scenario, frames: Mapping[str, pin.SE3], columns: Col
     """Gravity in the base's frame, and the payloads' places, which count where they have columns."""
     gravity = scenario.robot.gravity
     R_world_base = frames["world_base"].rotation
-    vector = R_world_base.T @ [0.0, 0.0, -9.81] if gravity == "world" else np.array(gravity)
+    vector = R_world_base.T @ LEVEL_GRAVITY if gravity == "world" else np.array(gravity)
     target = frames["tip_target"].translation
     payloads = scenario.question.payloads or (Payload(target),)
     return Surroundings(vector, payloads, payloads[0].name in columns, Sights(target[None]))

@@ -22,7 +22,7 @@ from markupsafe import Markup
 
 from aridcal.engine.fit.constants import stage_urdf
 from aridcal.engine.robot.chain import Robot, same_chain
-from aridcal.engine.robot.kinematics import start_frames, tree_frames
+from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, start_frames, tree_frames
 from aridcal.engine.robot.link_shapes import Shape
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.frame import asset, empty_page, filled
@@ -100,7 +100,7 @@ class Scene:
     test: np.ndarray
     outlier: np.ndarray
     line: np.ndarray | None = None
-    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    gravity: np.ndarray = field(default_factory=lambda: np.array(LEVEL_GRAVITY))
     moved: dict[str, np.ndarray] = field(default_factory=dict)
     places: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     sigma: np.ndarray = field(default_factory=lambda: np.zeros(0))

@@ -11,13 +11,12 @@ from aridcal.engine.trust.iso9283 import (
     ASKED_CYCLES,
     ASKED_HOURS,
     ASKED_POSES,
+    ENOUGH_CYCLES,
     MEANINGS,
     OF_FIT,
     OF_PAIRS,
-    SMALL_BELOW,
     STANDARD,
     TURNS,
-    WINDOW,
     Iso9283,
     applies,
 )
@@ -64,8 +63,8 @@ def what_was_made(found: Iso9283) -> str:
     asked = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
     if not found.enough:
         small = (
-            f" Of fewer than {SMALL_BELOW} cycles RP comes out too small on average, of 3 by a quarter; of two it is not told."
-            if few < SMALL_BELOW
+            f" Of fewer than {ENOUGH_CYCLES} cycles RP comes out too small on average, of 3 by a quarter; of two it is not told."
+            if few < ENOUGH_CYCLES
             else ""
         )
         return f"{made} {STANDARD} asks for {asked}: these are figures by its definitions, not tests to it.{small}"
@@ -116,7 +115,7 @@ def _definitions(found: Iso9283) -> str:
     """What is commanded and attained, and what is special about drift."""
     hours = found.hours[~np.isnan(found.hours)]
     lasted = (
-        f" Drift is between the first and the last cycles of a pose (at most {WINDOW} each), over "
+        f" Drift is between the first and the last cycles of a pose (at most {ENOUGH_CYCLES} each), over "
         f"{number(float(hours.max()), 2)} h; the standard asks for {ASKED_HOURS:g} h."
         if not np.isnan(found.final["dAP"]).all()
         else ""

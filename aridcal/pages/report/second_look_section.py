@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
+from aridcal.engine.levels import BLOCKS
 from aridcal.engine.trust.combinations import Combination, Known
-from aridcal.engine.trust.cross_validation import DECIDES, FOLDS, Influence
+from aridcal.engine.trust.cross_validation import DECIDES, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.outcome import Outcome
@@ -86,7 +87,7 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
         yield tag("h3", "Rows left out in turn")
         yield tag(
             "p",
-            f"{FOLDS} parts of the fitted rows are predicted in turn by a fit to the others: what the calibration does on rows "
+            f"{BLOCKS} parts of the fitted rows are predicted in turn by a fit to the others: what the calibration does on rows "
             "that it does not know, without holding any back for good. Effects stay those that were found.",
         )
         channels = [(k, c) for k, c in enumerate(outcome.channels) if not c.inner]
