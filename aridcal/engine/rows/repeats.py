@@ -11,11 +11,11 @@ from aridcal.engine.robot.chain import JointKind
 SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
 
 CELLS_OF_A_BOX = 32.0
-"""Work: Cells along a box in which rows are looked for that repeat one another: few share one by chance, and few stand at its edge."""
+"""Work: Cells along a box in which repeated rows are looked for: few share one by chance, and few stand at its edge."""
 
 
 MOST_COMPARED = 1000
-"""Work: Rows at the most whose distances tell whether rows lie in places; of more rows those that one joint has closest together."""
+"""Work: Rows whose distances tell whether rows lie in places; of more rows those that one joint has closest together."""
 
 LEAST_GAP = 4.0
 """Factor between two distances within which next to no chains of rows join, where rows lie in places."""
