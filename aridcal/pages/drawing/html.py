@@ -139,6 +139,16 @@ def figures(drawn: Iterable[tuple[Content, Markup]]) -> Markup:
     return tag("div", made, class_="figures")
 
 
+def fold(title: Content, *content: Content) -> Markup:
+    """Content behind its title, shown by a click, and on paper.
+
+    Args:
+        title: What stays in sight, with the figure that matters most.
+        content: The rest.
+    """
+    return tag("details", tag("summary", title), content)
+
+
 def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Markup:
     """A list; of a long one the first items and the number of the others.
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
-from aridcal.engine.instruments.channels import Channels
+from aridcal.engine.instruments.channels import INCLINATION, Channels
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause
@@ -17,6 +17,7 @@ from aridcal.engine.search.noise_shapes import Shape
 from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, Kept
 from aridcal.files.purposes import About
+from aridcal.jobs.calibrate.controllers import Handover
 from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.system.errors import printable, shortened
@@ -145,6 +146,24 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * known, 2)} mm per m",)
 
 
+def next_command(outcome: Outcome, handover: Handover, folder: str) -> str:
+    """The command that corrects a program by a result; empty where that helps no controller.
+
+    It helps none where data are few, the model is no better than the nominal one, or no place was measured.
+
+    Args:
+        outcome: The calibration.
+        handover: What controllers can be given of it.
+        folder: Where the result is.
+    """
+    nominal, *_, full = (export.error for export in handover.exports)
+    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == INCLINATION.name:
+        return ""
+    ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
+    limb = f" --of {outcome.robot.tip}" if outcome.robot.others else ""
+    return f"aridcal compensate {folder} program.{ending} -o corrected.{ending}{limb}"
+
+
 def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence.
 
@@ -164,7 +183,7 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
 
 
 def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
-    """The same of one of them."""
+    """Whether the region keeps one quantity, position or rotation, within its bound, and the sentence on it."""
     unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
     where, bound = f"in {share} of {known.title}", f"{number(1e3 * part.bound)} {unit}"
     off = f"off by less than {bound} without the instrument's noise"

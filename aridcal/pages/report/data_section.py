@@ -14,21 +14,20 @@ from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.key_figures import QUESTIONABLE, JointRange, joint_ranges, row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, statistics
 from aridcal.pages.drawing.figures import coverage, histogram
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import per_number, sigmas_in_words
 from aridcal.system.wording import counted, number, range_in_words
 
 # Lines of a list of rows.
 MOST = 25
 
+NOTICES_IN_SIGHT = 3
+
 
 def data(outcome: Outcome) -> Iterator[Content]:
     """Question 1: is the data sound?"""
     m = outcome.measurements
     flagged = int(outcome.outlier.sum())
-    yield _row_counts(outcome)
-    if len(m.blocks) > 1:
-        yield _blocks(outcome)
     if flagged > QUESTIONABLE * len(m):
         share = 100 * flagged / len(m)
         yield tag(
@@ -38,14 +37,20 @@ def data(outcome: Outcome) -> Iterator[Content]:
             class_="look",
         )
     yield _repeats(outcome)
+    first, more = outcome.notices[:NOTICES_IN_SIGHT], outcome.notices[NOTICES_IN_SIGHT:]
+    if first:
+        yield bullets(first)
+    if more:
+        yield fold(f"{counted(len(more), 'more notice')}", bullets(more, MOST, "more; result.json lists them all"))
+    yield _row_counts(outcome)
+    if len(m.blocks) > 1:
+        yield fold(f"Rows of {len(m.blocks)} blocks", _blocks(outcome))
     if flagged:
-        yield _outliers(outcome)
+        yield fold(f"{counted(flagged, 'outlier')}", _outliers(outcome))
     if m.origin.refused:
-        yield tag("h3", "Refused rows")
-        yield bullets([str(remark) for remark in m.origin.refused], MOST, "more; result.json lists them all")
-    if outcome.notices:
-        yield tag("h3", "Notices")
-        yield bullets(outcome.notices, MOST, "more; result.json lists them all")
+        remarks = [str(remark) for remark in m.origin.refused]
+        title = f"{counted(len(remarks), 'refused row')}"
+        yield fold(title, bullets(remarks, MOST, "more; result.json lists them all"))
 
 
 def _row_counts(outcome: Outcome) -> Markup:
@@ -63,7 +68,8 @@ def _row_counts(outcome: Outcome) -> Markup:
     }
     files = ", ".join(path.name for path in m.origin.files)
     lines = [[what, f"{count:,}"] for what, count in counts.items()]
-    return table(["rows", "number"], lines, f"Rows of {files}")
+    title = f"{len(m) + refused:,} rows read, {counts['fitted']:,} fitted, {parts['test'].sum():,} held out"
+    return fold(title, table(["rows", "number"], lines, f"Rows of {files}"))
 
 
 def _blocks(outcome: Outcome) -> Markup:
@@ -93,8 +99,7 @@ def _repeats(outcome: Outcome) -> Content:
         marks = " (several marks in one image repeat nothing: a second image there would)" if images else ""
         return tag(
             "p",
-            f"{nothing}{marks}, so the noise of robot and instrument cannot be separated from the "
-            "error of the model. Repeat a few poses next time.",
+            f"{nothing}{marks}, so the noise cannot be told from the error of the model. Repeat a few poses next time.",
         )
     repeatability = (
         ""
@@ -111,8 +116,7 @@ def _repeats(outcome: Outcome) -> Content:
     return tag(
         "p",
         f"{repeated} ({counted(found.rows, 'row')}). "
-        f"Repeats scatter by {sigmas_in_words(found.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability} "
-        "No calibration can reliably get below the scatter of the repeats.",
+        f"They scatter by {sigmas_in_words(found.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability}",
     )
 
 
@@ -168,21 +172,22 @@ def enough(outcome: Outcome) -> Iterator[Content]:
         sigma["over the whole joint range"] = 1e3 * known.anywhere.sigma[known.anywhere.told]
     placed = placed and (known is None or bool(known.anywhere.told.any()))
     yield _pictures(joints, sigma if placed else {})
-    yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
         named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
-    lines = []
-    for name, values in named.items():
-        found = statistics(values)
-        lines.append([name, *(number(found[key]) for key in ("median", "p95", "max"))])
+    yield tag("p", "The noise of these measurements causes this uncertainty. Errors that the model lacks come on top.")
+    if named:
+        where, values = next(iter(named.items()))
+        yield fold(f"1σ of the target {where}: median {number(float(np.median(values)))}", _uncertainty_table(named))
+    yield fold("Joint ranges", _joint_table(joints))
+
+
+def _uncertainty_table(named: dict[str, np.ndarray]) -> Markup:
+    """Statistics of the target's 1 sigma, by where it is and its unit."""
+    scores = {name: statistics(values) for name, values in named.items()}
+    lines = [[name, *(number(found[key]) for key in ("median", "p95", "max"))] for name, found in scores.items()]
     caption = "1σ of the calibrated target in its worst direction"
-    yield table(["", "median", "95 % below", "max"], lines, caption)
-    yield tag(
-        "p",
-        "This is the uncertainty that the noise of these measurements causes. It does not include errors that the model "
-        "lacks; sections 4 and 5 look for those.",
-    )
+    return table(["", "median", "95 % below", "max"], lines, caption)
 
 
 def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Markup:

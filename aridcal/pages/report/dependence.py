@@ -12,7 +12,7 @@ from aridcal.engine.trust.gains import Diagnosis
 from aridcal.jobs.calibrate.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.figures import Trend, correlogram, of_cloud, panels
-from aridcal.pages.drawing.html import Content, figures, table, tag
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.wording import number, shown_in
@@ -40,14 +40,23 @@ def drives(outcome: Outcome, progress: Progress = SILENT) -> Iterator[Content]:
 
 def _noise_tests(found: Diagnosis) -> Iterator[Content]:
     """Tests of the final model's residual."""
-    yield tag("h3", "Is the remaining error noise?")
     lines = []
     for clue in found.clues:
         answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < SURE else "no"
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]
-        yield table(head, lines, "Is there structure in the residual of the final model?")
+        shown = table(head, lines, "Is there structure in the residual of the final model?")
+        yield fold(_signs_in_words(sum(clue.tells for clue in found.clues), len(lines)), shown)
+
+
+def _signs_in_words(significant: int, tested: int) -> str:
+    """How many signs of structure there are."""
+    return f"Is the remaining error noise? {significant or 'No'} of {tested} signs of structure {_are(significant)} significant"
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
 
 
 def _in_order(order: Order) -> Iterator[Content]:
@@ -58,21 +67,19 @@ def _in_order(order: Order) -> Iterator[Content]:
     ordered = "time order" if order.timed else "table order"
     place = f"In {ordered}" if order.timed else f"In {ordered} (no time was recorded)"
     off, by_chance = strays(order), max(round(BAND * count), 1)
-    yield tag(
+    said = tag(
         "p",
         f"{place}, residuals change sign {order.changes:,} times from one row to the next; pure noise gives "
         f"{order.expected:,.0f} ± {order.spread:,.0f} (p = {number(order.p_value, 2)} for so few). {off} of {count} "
-        f"autocorrelations {'is' if off == 1 else 'are'} outside the 95 % band of noise; about {by_chance} may be by "
-        "chance. ",
-        "Consecutive rows have similar residuals: either something changed slowly during the measurement, or such rows "
-        "share something else that the model lacks."
-        if slowly_changing(order)
-        else "There is no sign of a slow change during the measurement.",
+        f"autocorrelations {_are(off)} outside the 95 % band of noise; about {by_chance} may be by chance.",
     )
+    title = "There is no sign of a slow change during the measurement"
+    if slowly_changing(order):
+        title = "Consecutive rows have similar residuals: something changed slowly, or they share what the model lacks"
     alt = "Autocorrelation of the residuals over the number of rows between them"
     label = f"lag in rows, {ordered} [1]"
     picture = correlogram("order", alt, order.lags, order.correlation, order.bound, label)
-    yield figures([("Autocorrelation of the residuals, mean over all axes", picture)])
+    yield fold(title, said, figures([("Autocorrelation of the residuals, mean over all axes", picture)]))
 
 
 def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
@@ -80,8 +87,7 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     found = outcome.traces.joints
     if not found:
         return
-    yield tag("h3", "Remaining error as an error of each joint")
-    yield tag(
+    said = tag(
         "p",
         "Each dot is the motion of that joint which best explains the residual of one row. Bars are means over groups of "
         "rows, ± 2σ of noise; the line is a smooth curve through them. Rows at which the joint hardly moves the target are "
@@ -91,7 +97,9 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     for k, trace in enumerate(progress.over(found, "pictures of joints")):
         caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
-    yield figures(drawn)
+    waving = sum(corrected(trace.after.p_value, len(found)) <= SURE for trace in found)
+    title = f"Remaining error as an error of each joint: {waving or 'none'} of {len(found)} {_are(waving)} significant"
+    yield fold(title, said, figures(drawn))
 
 
 def _in_words(outcome: Outcome, trace: Trace, asked: int) -> str:
@@ -146,19 +154,13 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     if not found:
         return
     clear = [trace for trace in found if significant(trace, asked)]
-    yield tag("h3", "Remaining error against every recorded quantity")
-    said = (
-        f"{len(clear)} of the quantities below {'is' if len(clear) == 1 else 'are'} significant; the clearest dependence is "
-        f"that of {clear[0].motion} on {clear[0].covariate}."
-        if clear
-        else "No dependence is significant among so many tests."
-    )
-    yield tag(
+    title = "Remaining error against every recorded quantity: "
+    title += f"clearest is {clear[0].motion} on {clear[0].covariate}" if clear else "no dependence is significant"
+    said = tag(
         "p",
         "The residual along each joint's own motion and along each world axis was tested against every joint, load and "
-        f"column: {asked:,} tests. {said}",
+        f"column: {asked:,} tests. {len(clear) or 'None'} {_are(len(clear))} significant.",
     )
-    yield _trace_table(outcome, found[:MOST_TRACES])
     own = {(trace.motion, trace.covariate) for trace in outcome.traces.joints}  # are drawn above
     columns = set(outcome.measurements.covariates)
     worth = [
@@ -171,7 +173,7 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
         caption = [*names, f": {_in_words(outcome, trace, asked)}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"trace-{k}", trace)))
-    yield figures(drawn)
+    yield fold(title, said, _trace_table(outcome, found[:MOST_TRACES]), figures(drawn))
 
 
 def _trace_table(outcome: Outcome, found: list[Trace]) -> Markup:

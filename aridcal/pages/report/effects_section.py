@@ -17,7 +17,7 @@ from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect
 from aridcal.jobs.calibrate.folder import what_moved
 from aridcal.jobs.calibrate.outcome import Outcome, errors
 from aridcal.pages.drawing.figures import curve, of_cloud
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import how_to_separate
 from aridcal.system.wording import counted, number, plus_minus, shown_in
 
@@ -41,13 +41,16 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
         found = "and the search accepted none" if searched else "and no search was made"
         yield tag("p", f"No effect beyond the geometry was declared, {found}.")
         return
-    yield tag("h3", "Effects in the model")
-    yield _gains(outcome)
     pairs = [(effect, part) for effect in outcome.effects for part in effect.curves]
     yield figures(_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs))
-    yield _coefficients(outcome)
-    yield from (_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect))
     yield from _confounded(outcome)
+    yield fold("Gain of each effect on held-out rows", _gains(outcome))
+    tables = [
+        _coefficients(outcome),
+        *(_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect)),
+    ]
+    if any(tables):
+        yield fold("Coefficients of the effects", tables)
 
 
 def _gains(outcome: Outcome) -> Markup:
@@ -196,27 +199,29 @@ def _confounded(outcome: Outcome) -> Iterator[Content]:
     for e in outcome.effects:
         for other in e.confounded_with:
             lines.append([e.effect.label, other.label, how_to_separate(e.effect, other, robot, columns)])
-    yield tag("h3", "Confounded effects")
     if not lines:
-        yield tag("p", "No other effect that was tested explains these data as well as one in the model.")
+        yield tag("p", "No other effect that was tested explains these data as well.")
         return
     head = ["effect in the model", "confounded with", "to separate them"]
-    yield table(head, lines, "Effects that these data cannot separate", numbers=3)
+    shown = table(head, lines, "Effects that these data cannot separate", numbers=3)
+    yield fold("Effects that these data cannot separate, and what to measure", shown)
 
 
 def other_candidates(found: Diagnosis) -> Iterator[Content]:
     """What the search rejected, and what it could not test."""
     if not found.tested:
         return
-    yield tag("h3", "Other candidates")
-    yield tag(
-        "p",
-        f"{counted(found.tested, 'candidate')} tested: first the known kinds of effect, then functions of one or two "
-        "covariates for what no known kind explains.",
-    )
+    said: list[Content] = [
+        tag(
+            "p",
+            "First the known kinds of effect, then functions of one or two covariates for what no known kind explains.",
+        )
+    ]
     if found.rejected:
         lines = [[r.effect.label, p_in_words(r.p_value), r.why] for r in found.rejected[:MOST_REJECTED]]
-        yield table(["effect", "p-value", "why rejected"], lines, "Best of the rejected candidates", numbers=3)
+        head = ["effect", "p-value", "why rejected"]
+        said.append(table(head, lines, "Best of the rejected candidates", numbers=3))
     if found.barred:
-        yield tag("p", "These data cannot test:")
-        yield bullets((f"{b.what}: {b.why}" for b in found.barred), MOST_BARRED, "more that could not be tested")
+        said.append(tag("p", "These data cannot test:"))
+        said.append(bullets((f"{b.what}: {b.why}" for b in found.barred), MOST_BARRED, "more that could not be tested"))
+    yield fold(f"{counted(found.tested, 'candidate')} tested, and why they were rejected", said)

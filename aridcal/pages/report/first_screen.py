@@ -120,7 +120,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
     yield tag(
         "div",
-        tag("div", tag("h2", "Main corrections"), tag("p", list(_causes(outcome)))),
+        tag("div", tag("h2", "Main corrections"), list(_causes(outcome))),
         tag("div", tag("h2", "What remains"), tag("p", list(_remaining(outcome)))),
         tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
         class_="answers",
@@ -129,7 +129,10 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
 
 def _who_and_what(outcome: Outcome) -> Iterator[Content]:
     """Robot, serial number, instrument, who and when, as far as the campaign states them."""
-    facts = dict(who_and_what(outcome.campaign.about or About(), outcome.robot, outcome.measurements))
+    about = outcome.campaign.about or About()
+    facts = dict(who_and_what(about, outcome.robot, outcome.measurements))
+    if not about.robot:
+        del facts["Robot"]  # its name is the title
     stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
     yield f"{' · '.join(stated)}. "
     rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
@@ -148,8 +151,8 @@ def _card(outcome: Outcome, k: int) -> Markup:
     found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
     before, after = found[0][1], found[-1][1]
     said = (
-        f"before → after calibration, on {mask.sum():,} {rows}, the instrument's noise included. After it 95 % are below "
-        f"{number(after['p95'])} {unit}; the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
+        f"On {mask.sum():,} {rows}, the instrument's noise included. 95 % are below {number(after['p95'])} {unit}, "
+        f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
     bars = _bars([(step, e["rms"]) for step, e in found], unit)
     own = in_controller(outcome, k)
@@ -227,8 +230,12 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
     """Which corrections removed how much of the squared error, and the largest of them."""
     shares = removed_shares(outcome)
     identified = [p for p in constants(outcome) if p["status"] == "identified"]
-    if shares:
-        yield _shares_in_words(outcome, shares, len(identified))
+    if shares and shares[0][1] <= 0.0:
+        yield tag("p", f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows.")
+    elif shares:
+        yield tag("p", f"Shares of the {squared(outcome)} that they remove:")
+        lines = _shares_in_words(outcome, shares, len(identified))
+        yield tag("ul", [tag("li", tag("b", share), who) for share, who in lines], class_="shares")
     words: list[Content] = []
     zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
     of_zeros = {name for zero in zeros for name in zero.names}
@@ -242,11 +249,11 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
         if largest is not None:
             words += [", ", tag("code", largest["name"]), f" {size_in_words(largest)}"]
     if words:
-        yield ["Largest corrections: ", words[1:], "."]
+        yield tag("p", "Largest: ", words[1:], ".")
 
 
-def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> str:
-    """``Nine geometric corrections account for 86 % of the squared position error, joint_map at joint_2 for 12 %``.
+def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> Iterator[tuple[str, str]]:
+    """``86 %`` and ``nine geometric corrections``, ``12 %`` and ``joint_map at joint_2 (the joint's angle errs ...)``.
 
     Args:
         outcome: What was found.
@@ -254,24 +261,18 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         corrections: How many geometric corrections were identified.
     """
     meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
-    if shares[0][1] <= 0.0:
-        return f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows. "
-    parts: list[str] = []
+    explained = set()
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
         who = _corrections_in_words(corrections) if geometric else step.effect or "the final fit"
-        what = "" if geometric else meanings.get(step.effect, "")
-        if what and not any(what in part for part in parts):
-            who = f"{who} ({what})"
-        verb = "account" if geometric and corrections != 1 else "accounts"
-        first = f" {verb} for {_percent(share)} of the {squared(outcome)}"
-        parts.append(who + (f" for {_percent(share)}" if parts else first))
+        meaning = "" if geometric else meanings.get(step.effect, "")
+        if meaning and meaning not in explained:
+            explained.add(meaning)
+            who = f"{who} ({meaning})"
+        yield _percent(share), who
     rest = [share for _, share in shares[MOST_CAUSES:]]
     if rest:
-        parts.append(f"{counted(len(rest), 'further correction')} for {_percent(sum(rest))}")
-    sentence = ", ".join(parts)
-    capital = "geometric" in shares[0][0].names  # the name of an effect stays as it is
-    return f"{sentence[0].upper() if capital else sentence[0]}{sentence[1:]}. "
+        yield _percent(sum(rest)), counted(len(rest), "further correction")
 
 
 def _corrections_in_words(count: int) -> str:
@@ -282,7 +283,7 @@ def _corrections_in_words(count: int) -> str:
 
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
-    return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"less than {100 * FAINT:g}\u00a0%"
+    return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"< {100 * FAINT:g}\u00a0%"
 
 
 def _remaining(outcome: Outcome) -> Iterator[Content]:
@@ -354,8 +355,8 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
-        if held_out:
-            yield held_out >= FEW, f"Checked on {counted(held_out, 'held-out row')}."
+        if 0 < held_out < FEW:
+            yield False, f"Checked on {counted(held_out, 'held-out row')} only."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
     flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)

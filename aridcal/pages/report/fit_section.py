@@ -13,7 +13,7 @@ from aridcal.jobs.calibrate.key_figures import axis_rms, row_errors, scored, ste
 from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, errors
 from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import histogram, of_cloud, panels
-from aridcal.pages.drawing.html import Content, figures, table, tag
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.data_section import row_table
 from aridcal.pages.report.second_look_section import halves, left_out
 from aridcal.system.wording import counted, number, reading_in_words
@@ -42,19 +42,17 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     mask, words = scored(outcome)
     first, last = outcome.stages[0].residual[mask], outcome.stages[-1].residual[mask]
     compared = {"before calibration": first, "after": last}
-    yield from _error_tables(outcome)
-    yield tag("h3", f"Before and after, on {words}")
+    yield tag("p", f"Errors of the {words}, before and after calibration, and where they remain:")
     yield _histograms(compared, outcome.channels)
+    yield _workspace(outcome)
+    yield fold("Errors of every model", list(_error_tables(outcome)))
     yield from halves(outcome)
     yield from left_out(outcome)
-    yield tag("h3", "Axis by axis")
-    yield _axis_table(outcome)
-    yield _axis_pictures(compared, outcome.channels, words)
-    yield tag("h3", "Over the workspace")
-    yield _workspace(outcome)
+    yield fold("Axis by axis", _axis_table(outcome), _axis_pictures(compared, outcome.channels, words))
     worst = worst_rows(outcome, MOST_WORST)
     readings = [_configuration(outcome, k) for k in worst]
-    yield row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
+    shown = row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
+    yield fold(f"The worst {words}", shown)
 
 
 def _error_tables(outcome: Outcome) -> Iterator[Content]:
@@ -173,7 +171,7 @@ def _workspace(outcome: Outcome) -> Markup:
         labels = (f"world {first} [m]", f"world {second} [m]")
         alt = f"{what} after calibration over {labels[0]} and {labels[1]}"
         plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm", colors)
-        drawn.append((f"{what} after calibration, {first}–{second} plane", plot))
+        drawn.append((f"{what}, {first}–{second} plane", plot))
     return figures(drawn)
 
 
@@ -206,13 +204,15 @@ def verification(outcome: Outcome) -> Iterator[Content]:
         models["final, frames refitted"] = found.realigned
     sound = ~found.outlier
     channels = found.measurements.channels
+    shown = []
     for channel in [channels[k] for k in np.flatnonzero(found.measurements.measures.sum(axis=0))]:
         scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
-        yield table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize())
+        shown.append(table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize()))
     excluded = counted(int(found.outlier.sum()), "gross outlier")
     yield tag(
         "p",
-        f"{excluded} excluded. If the error is much larger than on the campaign's own held-out rows but small again with "
-        "the frames refitted, the target or the instrument was remounted. If it stays large, the robot has changed since.",
+        f"{excluded} excluded. An error that is small only with the frames refitted says that the target or the instrument "
+        "was remounted. One that stays large says that the robot has changed.",
     )
+    yield fold("Errors of every model on that day", shown)

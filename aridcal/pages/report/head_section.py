@@ -11,7 +11,7 @@ from aridcal.jobs.calibrate.closed_form import ClosedForm
 from aridcal.jobs.calibrate.key_figures import scored
 from aridcal.jobs.calibrate.measuring_head import HeadNumber, MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, errors
-from aridcal.pages.drawing.html import Content, table, tag
+from aridcal.pages.drawing.html import Content, fold, table, tag
 from aridcal.pages.report.identified_section import length_or_angle
 from aridcal.system.wording import counted, fixed, number, plus_minus
 
@@ -28,10 +28,11 @@ def measuring_head(outcome: Outcome) -> Iterator[Content]:
     yield _misfit(head)
     yield _parameters(head)
     if head.ranges.shape[1]:
-        yield _sonars(head)
-    yield _mount(outcome, head)
+        yield fold("Residuals of the sonar ranges", _sonars(head))
+    yield fold("Mounting of the camera", _mount(outcome, head))
     if head.closed_form is not None:
-        yield from _closed_form(outcome, head.closed_form)
+        shown = list(_closed_form(outcome, head.closed_form))
+        yield fold("The closed form of Doty (1992) on the same poses", shown)
 
 
 def _misfit(head: MeasuringHead) -> Markup:
@@ -56,7 +57,8 @@ def _parameters(head: MeasuringHead) -> Markup:
             "p", "No parameter of the camera or the sonars needed a correction: all keep their values of head.yaml."
         )
     titles = ["parameter", "as declared", "as identified ± 1σ"]
-    return table(titles, [_line(n) for n in moved], "Identified parameters of the head")
+    shown = table(titles, [_line(n) for n in moved], "Identified parameters of the head")
+    return fold(f"{counted(len(moved), 'identified parameter')} of the head", shown)
 
 
 def _line(n: HeadNumber) -> list[Content]:
@@ -100,7 +102,6 @@ def _mount(outcome: Outcome, head: MeasuringHead) -> Markup:
 
 def _closed_form(outcome: Outcome, found: ClosedForm) -> Iterator[Content]:
     """The closed form on the same poses, beside the full solution."""
-    yield tag("h3", "The closed form of Doty (1992) on the same poses")
     yield tag(
         "p",
         "Doty (1992), errata corrected: link lengths and angle offsets come from x and y of the end frame, then pitches β "

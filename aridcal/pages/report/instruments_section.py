@@ -14,7 +14,7 @@ from aridcal.engine.instruments.pixels import ON_TIP
 from aridcal.jobs.calibrate.instrument_results import ThingValue, known_scale
 from aridcal.jobs.calibrate.key_figures import row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, leading
-from aridcal.pages.drawing.html import Content, codes, table, tag
+from aridcal.pages.drawing.html import Content, codes, fold, table, tag
 from aridcal.pages.drawing.words import scale_in_words
 from aridcal.system.wording import counted, number, plus_minus, shown_in
 
@@ -25,8 +25,8 @@ MOST_NAMES = 12
 """Constants that are named in a sentence."""
 
 CONSISTENCY = (
-    "Consistency is not accuracy. A small residual here says that these rows agree with one another; it does not say that the "
-    "arm is right where nothing was measured, nor in what these instruments cannot tell."
+    "Consistency is not accuracy: a small residual says that these rows agree with one another, not that the arm is right "
+    "where nothing was measured or in what these instruments cannot tell."
 )
 
 MORE = {
@@ -60,17 +60,16 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
     """What was found of the things that measurements refer to."""
     m = outcome.measurements
     yield from _scale(outcome)
+    yield tag("p", CONSISTENCY)
     for role, found in groupby(outcome.things, key=lambda v: v.role):
         yield from _things(outcome, role, list(found))
-    yield tag("h3", "What these instruments cannot tell")
     kinds = dict.fromkeys(block.kind for block in m.blocks)
     scaled = known_scale(m) not in (None, np.inf)
     more = MORE | (MORE_WITH_SCALE if scaled else {})
     lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
-        yield table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
-    yield from _untold(outcome)
-    yield tag("p", CONSISTENCY)
+        shown = table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
+        yield fold("What these instruments cannot tell, and what would", shown)
 
 
 def _scale(outcome: Outcome) -> Iterator[Content]:
@@ -87,7 +86,6 @@ def _scale(outcome: Outcome) -> Iterator[Content]:
 
 def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[Content]:
     """All things of one role, each with its place, its rows and its own residual."""
-    yield tag("h3", f"{role.capitalize()}s")
     found = [list(own) for _, own in groupby(values, key=lambda v: v.name)]
     shown = [
         v
@@ -105,11 +103,12 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
         lines.append([tag("code", own[0].name), *cells, f"{rows:,}", f"{flagged:,}", number(rms)])
     known = "as identified, ± 1σ" if shown else "at places that the campaign states"
     caption = f"{role.capitalize()}s {known}; the worst first"
-    yield table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)
+    shown: list[Content] = [table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)]
     if role == "camera":
-        yield _carriers(outcome)
+        shown.append(_carriers(outcome))
     if len(found) > MOST_THINGS:
-        yield tag("p", tag("em", f"and {len(found) - MOST_THINGS:,} more; result.json lists them all"))
+        shown.append(tag("p", tag("em", f"and {len(found) - MOST_THINGS:,} more; result.json lists them all")))
+    yield fold(counted(len(found), role), shown)
     lost = [f"{v.name}.{v.component}" for v in values if v.status == "redundant"]
     if lost:
         rest = len(lost) - MOST_NAMES
@@ -166,17 +165,3 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
         rms = np.sqrt(np.where(used > 0, total / np.maximum(used, 1), np.nan))
         found |= dict(zip(labels.tolist(), zip(rms.tolist(), every.tolist(), wild.tolist(), strict=True), strict=True))
     return found, unit
-
-
-def _untold(outcome: Outcome) -> Iterator[Content]:
-    """Which constants of this arm these rows leave nominal."""
-    redundant = list(outcome.stage("geometric").fit.redundant)
-    if not redundant:
-        yield tag("p", "Of the constants that were asked for, these rows tell all.")
-        return
-    rest = len(redundant) - MOST_NAMES
-    yield tag(
-        "p",
-        f"Of this arm's constants and frames {len(redundant)} keep their nominal value, because these rows cannot tell them "
-        "from others (section 2 names those): ", codes(redundant[:MOST_NAMES]), f" and {rest} more" if rest > 0 else "", ".",
-    )  # fmt: skip

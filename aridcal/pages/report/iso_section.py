@@ -22,7 +22,7 @@ from aridcal.engine.trust.iso9283 import (
     applies,
 )
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, table, tag
+from aridcal.pages.drawing.html import Content, fold, table, tag
 from aridcal.system.wording import counted, number
 
 MOST = 30
@@ -36,10 +36,8 @@ def iso(outcome: Outcome) -> Iterator[Content]:
         yield tag("p", _why_not(outcome))
         return
     yield tag("p", what_was_made(found))
-    yield _summary(found)
-    yield tag("p", _definitions(found))
-    yield _poses(found, outcome)
-    yield tag("p", tag("em", _left_out(found, len(found.cycles))))
+    yield fold("Worst figures, before and after", _summary(found), tag("p", _definitions(found)))
+    yield fold("Pose by pose", _poses(found, outcome), tag("p", tag("em", _left_out(found, len(found.cycles)))))
 
 
 def _why_not(outcome: Outcome) -> str:

@@ -9,18 +9,15 @@ from markupsafe import Markup
 from aridcal.jobs.calibrate.controllers import INDEX, Export, Handover
 from aridcal.jobs.calibrate.key_figures import narrow_joints
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, bullets, codes, table, tag
-from aridcal.pages.drawing.words import per_number, sigmas_in_words
+from aridcal.pages.drawing.html import Content, bullets, codes, fold, table, tag
+from aridcal.pages.drawing.words import next_command, per_number, sigmas_in_words
 from aridcal.pages.report.workspace_section import workspace
 from aridcal.system.wording import number, range_in_words
 
 # How the names of the coefficients of the target's frame begin.
 AT_TIP = ("tip_target.", "tip_target[")
 
-JOINT_VALUES = (
-    "The calibration is valid for the kind of joint values in the table. Reported and commanded joint values of real arms "
-    "differ by 0.1 to 0.2 mrad: use the kind that was recorded here."
-)
+JOINT_VALUES = "Use the kind of joint values that was recorded here: reported and commanded ones of real arms differ by 0.1 to 0.2 mrad."
 
 
 THING_MOVED: list[Content] = [
@@ -33,17 +30,15 @@ THING_MOVED: list[Content] = [
 def limits(outcome: Outcome) -> Iterator[Content]:
     """Question 6: where does the calibration hold?"""
     yield bullets([_outside(outcome), _uncertainty(outcome), JOINT_VALUES])
-    yield from workspace(outcome)
-    yield tag("h3", "What to measure again after a change")
-    yield _after_a_change(bool(outcome.things))
     hidden = _inside_the_target(outcome)
     if hidden:
         yield tag(
             "p",
-            "Part of the errors of ", codes(hidden), " is contained in ", tag("code", "tip_target"), ", with which they "
-            "are confounded. The pose of the measuring target is calibrated, but the pose of the bare tip link is only as "
-            "accurate as the nominal URDF.",
+            "The pose of the measuring target is calibrated, that of the bare tip link is only as accurate as the nominal URDF: "
+            "part of the errors of ", codes(hidden), " is contained in ", tag("code", "tip_target"), ".",
         )  # fmt: skip
+    yield from workspace(outcome)
+    yield fold("What to measure again after a change", _after_a_change(bool(outcome.things)))
 
 
 def _outside(outcome: Outcome) -> str:
@@ -54,7 +49,7 @@ def _outside(outcome: Outcome) -> str:
         if ranges
         else "At least half of every joint's range was measured."
     )
-    return f"Outside the joint ranges of section 3 the model extrapolates; aridcal.predict marks such rows. {measured}"
+    return f"{measured} Outside of what was measured (section 3) the model extrapolates; `aridcal predict` marks such rows."
 
 
 def _uncertainty(outcome: Outcome) -> str:
@@ -66,9 +61,8 @@ def _uncertainty(outcome: Outcome) -> str:
         else "estimated from the residuals, so that errors which the model lacks widen every ±"
     )
     return (
-        f"Each ± is one standard deviation caused by the measurement noise of {noise}, {source}. It does not "
-        "include systematic errors of the instrument (scale, levelling), later changes of the robot, or loads and "
-        "temperatures other than those measured."
+        f"Each ± is one standard deviation caused by the measurement noise of {noise}, {source}. Not in it: systematic errors "
+        "of the instrument (scale, levelling), later changes of the robot, other loads and temperatures."
     )
 
 
@@ -118,7 +112,9 @@ def _inside_the_target(outcome: Outcome) -> list[str]:
 
 def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozenset()) -> Iterator[Content]:
     """Which file is for what; those beside the page are links."""
-    yield _files(handover, bool(outcome.effects), beside)
+    following = next_command(outcome, handover, "results")
+    if following:
+        yield tag("p", "Next: ", tag("code", following))
     lines: list[list[Content]] = []
     for export in handover.exports:
         distance = f"{number(1e3 * export.apart)} mm"
@@ -126,6 +122,7 @@ def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozense
         lines.append([export.name, named, _error(handover, export), distance])
     head = ["what your controller gets", "files", f"{handover.channel.name} RMS", "distance from the full model"]
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
+    yield fold("All files in this folder", _files(handover, bool(outcome.effects), beside))
 
 
 def linked(file: str, beside: Collection[str]) -> Markup:

@@ -11,8 +11,7 @@ from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.workspace import Workspace
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.fields import color_steps, field
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.drawing.words import kept_in_words
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.system.wording import number
 
 
@@ -21,7 +20,6 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
     known = outcome.certainty
     if known is None:
         return
-    yield tag("h3", "How well the target is known over the workspace")
     lines = [_line("the joints' whole range", known.anywhere), _line(known.title, known.region)]
     if not any(part.told.any() for part in (known.anywhere, known.region)):
         yield tag("p", "No reading tells where the target is: a part of what moves it is seen by no instrument.")
@@ -34,15 +32,21 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "where, base frame [m]",
         "measured",
     ]
-    yield table(head, lines, "Uncertainty of the target over the workspace")
-    yield figures(_slices(known))
-    yield tag(
+    said = tag(
         "p",
         "Each dot is a configuration within the joints' limits that brings the target near the plane. A dot with a hole was not "
-        "measured: outside the ranges seen, or where the prediction is three times as uncertain as at any fitted row. What the "
-        "model lacks there, nobody knows. The sigmas are those of the calibration; errors beyond it are in what follows.",
+        "measured: it is outside the measured ranges, or its prediction is three times as uncertain as at any fitted row. What "
+        "the model lacks there, nobody knows.",
     )
-    yield bullets([sentence for asked in (True, False) for _, sentence in kept_in_words(outcome, asked)])
+    shown = table(head, lines, "Uncertainty of the target over the workspace")
+    yield fold("Uncertainty of the target over the workspace", shown, figures(_slices(known)), said)
+    parts = list(_parts_of_bounds(known))
+    if parts:
+        yield fold(f"What the errors in {known.title} consist of", parts)
+
+
+def _parts_of_bounds(known: Certainty) -> Iterator[Markup]:
+    """What each bound of the first screen consists of: the calibration's uncertainty, and what held-out rows leave beyond."""
     for part in known.kept:
         if not part.rows or np.isnan(part.calibration):
             continue
@@ -50,9 +54,8 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))
         yield tag(
             "p",
-            f"{part.of.capitalize()}: there the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
-            f"{rest} RMS beyond that and beyond the instrument's declared noise: what the model lacks, and what the arm does not "
-            "repeat.",
+            f"{part.of.capitalize()}: the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
+            f"{rest} RMS beyond it and the instrument's declared noise: what the model lacks, and what the arm does not repeat.",
             *(f" Note: {remark}." for remark in part.remarks),
         )
 
