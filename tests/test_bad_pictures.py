@@ -525,7 +525,7 @@ def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: Han
 def test_a_whole_page_that_fails_is_a_page_that_says_so(
     where: str, error: Exception, outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"aridcal.{where}", fails(error))
+    monkeypatch.setattr(f"aridcal.pages.{where}", fails(error))
     path = tmp_path / "page.html"
     notices = scene.write_scene(outcome, path) if "scene" in where else page.write_report(outcome, handover, path)
     assert type(error).__name__ in notices[-1]

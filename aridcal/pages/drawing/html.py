@@ -129,14 +129,15 @@ def _letters(column: Sequence[str], numbers: bool) -> int:
     )
 
 
-def figures(drawn: Iterable[tuple[Content, Markup]]) -> Markup:
+def figures(drawn: Iterable[tuple[Content, Markup]], class_: str = "figures") -> Markup:
     """Figures side by side where there is room.
 
     Args:
         drawn: The caption and the picture of each.
+        class_: ``figures three`` for three in a row on a wide screen, else two.
     """
     made = [tag("figure", tag("figcaption", caption), picture) for caption, picture in drawn]
-    return tag("div", made, class_="figures")
+    return tag("div", made, class_=class_)
 
 
 def fold(title: Content, *content: Content) -> Markup:

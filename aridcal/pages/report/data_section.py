@@ -43,8 +43,6 @@ def data(outcome: Outcome) -> Iterator[Content]:
     if more:
         yield fold(f"{counted(len(more), 'more notice')}", bullets(more, MOST, "more; result.json lists them all"))
     yield _row_counts(outcome)
-    if len(m.blocks) > 1:
-        yield fold(f"Rows of {len(m.blocks)} blocks", _blocks(outcome))
     if flagged:
         yield fold(f"{counted(flagged, 'outlier')}", _outliers(outcome))
     if m.origin.refused:
@@ -69,7 +67,8 @@ def _row_counts(outcome: Outcome) -> Markup:
     files = ", ".join(path.name for path in m.origin.files)
     lines = [[what, f"{count:,}"] for what, count in counts.items()]
     title = f"{len(m) + refused:,} rows read, {counts['fitted']:,} fitted, {parts['test'].sum():,} held out"
-    return fold(title, table(["rows", "number"], lines, f"Rows of {files}"))
+    shown = table(["rows", "number"], lines, f"Rows of {files}")
+    return fold(title, shown, _blocks(outcome) if len(m.blocks) > 1 else "")
 
 
 def _blocks(outcome: Outcome) -> Markup:
@@ -177,9 +176,10 @@ def enough(outcome: Outcome) -> Iterator[Content]:
         named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
     yield tag("p", "The noise of these measurements causes this uncertainty. Errors that the model lacks come on top.")
     if named:
-        where, values = next(iter(named.items()))
-        yield fold(f"1σ of the target {where}: median {number(float(np.median(values)))}", _uncertainty_table(named))
-    yield fold("Joint ranges", _joint_table(joints))
+        (what, unit), values = next((name[:-1].split(" ["), values) for name, values in named.items())
+        median = f"median {number(float(np.median(values)))} {unit}"
+        yield fold(f"1σ of the target {what}: {median}", _uncertainty_table(named))
+    yield fold("Measured range of each joint", _joint_table(joints))
 
 
 def _uncertainty_table(named: dict[str, np.ndarray]) -> Markup:

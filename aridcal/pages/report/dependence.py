@@ -46,13 +46,13 @@ def _noise_tests(found: Diagnosis) -> Iterator[Content]:
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]
-        shown = table(head, lines, "Is there structure in the residual of the final model?")
+        shown = table(head, lines, "Signs of structure in the residual of the final model")
         yield fold(_signs_in_words(sum(clue.tells for clue in found.clues), len(lines)), shown)
 
 
 def _signs_in_words(significant: int, tested: int) -> str:
     """How many signs of structure there are."""
-    return f"Is the remaining error noise? {significant or 'No'} of {tested} signs of structure {_are(significant)} significant"
+    return f"Is the remaining error noise? {significant or 'None'} of {tested} signs of structure {_are(significant)} significant"
 
 
 def _are(count: int) -> str:

@@ -21,6 +21,7 @@ from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, t
 from aridcal.pages.drawing.words import how_to_separate
 from aridcal.system.wording import counted, number, plus_minus, shown_in
 
+CURVES_IN_SIGHT = 4
 MOST_REJECTED = 15
 MOST_BARRED = 25
 
@@ -42,15 +43,13 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
         yield tag("p", f"No effect beyond the geometry was declared, {found}.")
         return
     pairs = [(effect, part) for effect in outcome.effects for part in effect.curves]
-    yield figures(_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs))
+    curves = [_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs)]
+    yield figures(curves[:CURVES_IN_SIGHT])
+    if len(curves) > CURVES_IN_SIGHT:
+        yield fold(counted(len(curves) - CURVES_IN_SIGHT, "more curve"), figures(curves[CURVES_IN_SIGHT:]))
     yield from _confounded(outcome)
-    yield fold("Gain of each effect on held-out rows", _gains(outcome))
-    tables = [
-        _coefficients(outcome),
-        *(_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect)),
-    ]
-    if any(tables):
-        yield fold("Coefficients of the effects", tables)
+    labels = [_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect)]
+    yield fold("Gain and coefficients of each effect", _gains(outcome), _coefficients(outcome), labels)
 
 
 def _gains(outcome: Outcome) -> Markup:
@@ -224,4 +223,4 @@ def other_candidates(found: Diagnosis) -> Iterator[Content]:
     if found.barred:
         said.append(tag("p", "These data cannot test:"))
         said.append(bullets((f"{b.what}: {b.why}" for b in found.barred), MOST_BARRED, "more that could not be tested"))
-    yield fold(f"{counted(found.tested, 'candidate')} tested, and why they were rejected", said)
+    yield fold(f"{counted(found.tested, 'candidate')} tested; why the best of the others were rejected", said)

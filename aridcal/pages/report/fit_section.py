@@ -52,7 +52,7 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     worst = worst_rows(outcome, MOST_WORST)
     readings = [_configuration(outcome, k) for k in worst]
     shown = row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
-    yield fold(f"The worst {words}", shown)
+    yield fold("Rows with the largest errors", shown)
 
 
 def _error_tables(outcome: Outcome) -> Iterator[Content]:
@@ -172,7 +172,7 @@ def _workspace(outcome: Outcome) -> Markup:
         alt = f"{what} after calibration over {labels[0]} and {labels[1]}"
         plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm", colors)
         drawn.append((f"{what}, {first}–{second} plane", plot))
-    return figures(drawn)
+    return figures(drawn, "figures three")
 
 
 def _in_world(outcome: Outcome) -> np.ndarray:

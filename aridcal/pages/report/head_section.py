@@ -28,8 +28,8 @@ def measuring_head(outcome: Outcome) -> Iterator[Content]:
     yield _misfit(head)
     yield _parameters(head)
     if head.ranges.shape[1]:
-        yield fold("Residuals of the sonar ranges", _sonars(head))
-    yield fold("Mounting of the camera", _mount(outcome, head))
+        yield fold("Sonars", _sonars(head))
+    yield fold("How far the camera sits from where head.yaml has it", _mount(outcome, head))
     if head.closed_form is not None:
         shown = list(_closed_form(outcome, head.closed_form))
         yield fold("The closed form of Doty (1992) on the same poses", shown)

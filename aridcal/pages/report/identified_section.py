@@ -37,7 +37,9 @@ def identifiable(outcome: Outcome) -> Iterator[Content]:
         yield tag("p", "All requested parameters are identifiable.")
     else:
         yield from _redundant(redundant)
-    yield fold("Rank and convergence", _convergence(outcome))
+    fit = outcome.stage("geometric").fit
+    rank = f"{len(fit.theta):,} of {len(fit.candidates):,} coefficients identified"
+    yield fold(f"{rank}, condition number {number(fit.convergence.condition)}", _convergence(outcome))
     yield from known(outcome)
 
 
@@ -50,7 +52,7 @@ def _redundant(redundant: dict[str, tuple[str, ...]]) -> Iterator[Content]:
     )
     lines = [[tag("code", name), _partners(names)] for name, names in redundant.items()]
     shown = table(["keeps its nominal value", "confounded with"], lines, "Redundant coefficients", numbers=2)
-    yield fold("Redundant coefficients, and what each is confounded with", shown)
+    yield fold("What each is confounded with", shown)
 
 
 def _convergence(outcome: Outcome) -> Markup:

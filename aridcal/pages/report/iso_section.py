@@ -37,7 +37,7 @@ def iso(outcome: Outcome) -> Iterator[Content]:
         return
     yield tag("p", what_was_made(found))
     yield fold("Worst figures, before and after", _summary(found), tag("p", _definitions(found)))
-    yield fold("Pose by pose", _poses(found, outcome), tag("p", tag("em", _left_out(found, len(found.cycles)))))
+    yield fold("Figures of each pose", _poses(found, outcome), tag("p", tag("em", _left_out(found, len(found.cycles)))))
 
 
 def _why_not(outcome: Outcome) -> str:

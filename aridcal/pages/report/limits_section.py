@@ -17,7 +17,7 @@ from aridcal.system.wording import number, range_in_words
 # How the names of the coefficients of the target's frame begin.
 AT_TIP = ("tip_target.", "tip_target[")
 
-JOINT_VALUES = "Use the kind of joint values that was recorded here: reported and commanded ones of real arms differ by 0.1 to 0.2 mrad."
+JOINT_VALUES = "Use the kind of joint values that was recorded here. Reported and commanded ones differ by 0.1 to 0.2 mrad on real arms."
 
 
 THING_MOVED: list[Content] = [
@@ -41,7 +41,7 @@ def limits(outcome: Outcome) -> Iterator[Content]:
     yield fold("What to measure again after a change", _after_a_change(bool(outcome.things)))
 
 
-def _outside(outcome: Outcome) -> str:
+def _outside(outcome: Outcome) -> Content:
     """On extrapolation."""
     ranges = [f"{j.name} ({range_in_words(j.seen, j.kind)})" for j in narrow_joints(outcome)]
     measured = (
@@ -49,7 +49,12 @@ def _outside(outcome: Outcome) -> str:
         if ranges
         else "At least half of every joint's range was measured."
     )
-    return f"{measured} Outside of what was measured (section 3) the model extrapolates; `aridcal predict` marks such rows."
+    predict = tag("code", "aridcal predict")
+    return [
+        f"{measured} Outside of what was measured (section 3) the model extrapolates; ",
+        predict,
+        " marks such rows.",
+    ]
 
 
 def _uncertainty(outcome: Outcome) -> str:
@@ -122,7 +127,7 @@ def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozense
         lines.append([export.name, named, _error(handover, export), distance])
     head = ["what your controller gets", "files", f"{handover.channel.name} RMS", "distance from the full model"]
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
-    yield fold("All files in this folder", _files(handover, bool(outcome.effects), beside))
+    yield fold("What each file is for", _files(handover, bool(outcome.effects), beside))
 
 
 def linked(file: str, beside: Collection[str]) -> Markup:

@@ -95,7 +95,9 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
             )
             lines.append([c.title, number(mean), number(spread, 2), number(fitted)])
         head = ["RMS", "rows left out", "± from part to part", "the same rows, fitted"]
-        yield fold("Rows left out in turn", said, table(head, lines, "Error of rows left out"))
+        k, first = channels[0]
+        title = f"Rows left out in turn: {number(first.scale * float(looked.folds.mean[k]))} {first.shown} RMS"
+        yield fold(title, said, table(head, lines, "Error of rows left out"))
     placed = known_scale(outcome.measurements) is not None
     if looked.influence is not None and len(looked.influence.rows) and placed:
         yield _influence(outcome, looked.influence)

@@ -39,7 +39,9 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "the model lacks there, nobody knows.",
     )
     shown = table(head, lines, "Uncertainty of the target over the workspace")
-    yield fold("Uncertainty of the target over the workspace", shown, figures(_slices(known)), said)
+    sure = known.anywhere.sigma[known.anywhere.told]
+    median = f": median {number(1e3 * float(np.median(sure)))} mm" if len(sure) else ""
+    yield fold(f"1σ of the target over the workspace{median}", shown, figures(_slices(known)), said)
     parts = list(_parts_of_bounds(known))
     if parts:
         yield fold(f"What the errors in {known.title} consist of", parts)
