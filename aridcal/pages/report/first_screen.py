@@ -235,7 +235,7 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
     elif shares:
         yield tag("p", f"Shares of the {squared(outcome)} that they remove:")
         lines = _shares_in_words(outcome, shares, len(identified))
-        yield tag("ul", [tag("li", tag("b", share), who) for share, who in lines], class_="shares")
+        yield tag("ul", [tag("li", tag("b", share), " ", who) for share, who in lines], class_="shares")
     words: list[Content] = []
     zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
     of_zeros = {name for zero in zeros for name in zero.names}

@@ -17,7 +17,9 @@ from aridcal.system.wording import number, range_in_words
 # How the names of the coefficients of the target's frame begin.
 AT_TIP = ("tip_target.", "tip_target[")
 
-JOINT_VALUES = "Use the kind of joint values that was recorded here. Reported and commanded ones differ by 0.1 to 0.2 mrad on real arms."
+JOINT_VALUES = (
+    "Use the kind of joint values that was recorded here: reported and commanded ones differ by 0.1 to 0.2 mrad on real arms."
+)
 
 
 THING_MOVED: list[Content] = [
