@@ -31,10 +31,10 @@ INDICES = (
 )
 """Observability indices as Sun and Hollerbach (2008) number them."""
 
-TELLING = 2.0
+LEAST_TIMES_USUAL_LOSS = 2.0
 """A configuration that matters to a suspect so many times as much as the mean one is named for it."""
 
-NAMED = 3
+MOST_NAMED = 3
 """Suspects named for one configuration, those first to which it matters most."""
 
 
@@ -152,13 +152,13 @@ def _telling(plan: Plan) -> Iterator[Content]:
         "Observability indices of frames and constants, in σ per m and rad (Sun and Hollerbach 2008); larger is better"
     )
     yield table(["index", "what it is", "value"], rows, caption, numbers=2)
-    seen = plan.coverage
-    if not seen.suspects:
+    coverage = plan.coverage
+    if not coverage.suspects:
         yield tag("p", "No effect beyond constants was planned for; those that `effects` of the campaign declares are.")
         return
     lines: list[list[Content]] = []
-    for name, loss in zip(seen.suspects, seen.loss.T, strict=True):
-        best = np.argsort(-loss, kind="stable")[:NAMED]
+    for name, loss in zip(coverage.suspects, coverage.loss.T, strict=True):
+        best = np.argsort(-loss, kind="stable")[:MOST_NAMED]
         words = ", ".join(f"{k + 1} ({_percent(loss[k])})" for k in best.tolist())
         lines.append([name, words])
     caption = (
@@ -178,13 +178,15 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         *(["by way of"] if plan.directions else []),
         "tells most of",
     ]
-    seen, lines = plan.coverage, []
-    usual = seen.loss.mean(axis=0)
+    coverage, lines = plan.coverage, []
+    usual = coverage.loss.mean(axis=0)
     for k, reading in enumerate(plan.readings):
         joints = [reading_in_words(v, kind) for v, kind in zip(reading.tolist(), robot.kinds, strict=True)]
-        loss = seen.loss[k]
-        telling = [i for i in np.argsort(-loss, kind="stable")[:NAMED] if loss[i] > TELLING * usual[i]]
-        words = ", ".join(f"{seen.suspects[i]} ({_percent(loss[i])})" for i in telling)
+        loss = coverage.loss[k]
+        telling = [
+            i for i in np.argsort(-loss, kind="stable")[:MOST_NAMED] if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
+        ]
+        words = ", ".join(f"{coverage.suspects[i]} ({_percent(loss[i])})" for i in telling)
         way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []
         lines.append([str(k + 1), *joints, *([titles[k]] if titles else []), *way, words or "the geometry"])
     yield table(head, lines, "In the order of the visits", numbers=len(head))

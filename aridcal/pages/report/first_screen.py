@@ -83,7 +83,7 @@ MOST_CAUSES = 3
 MOST_NAMES = 3
 
 # Share of the squared error below which only its smallness is told.
-FAINT = 1e-3
+LEAST_SHARE_SHOWN = 1e-3
 
 SPELLED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -148,13 +148,13 @@ def _card(outcome: Outcome, k: int) -> Markup:
     mask = mask & outcome.measurements.measures[:, k]
     channel = outcome.channels[k]
     what, unit = channel.noun, channel.shown
-    found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
-    before, after = found[0][1], found[-1][1]
+    scores = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
+    before, after = scores[0][1], scores[-1][1]
     said = (
         f"On {mask.sum():,} {rows}, the instrument's noise included. 95 % are below {number(after['p95'])} {unit}, "
         f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
-    bars = _bars([(step, e["rms"]) for step, e in found], unit)
+    bars = _bars([(step, e["rms"]) for step, e in scores], unit)
     own = in_controller(outcome, k)
     below = [tag("p", tag("strong", own)) if own else "", bars]
     return card(what, unit, ("before calibration", before["rms"]), ("after calibration", after["rms"]), said, below)
@@ -187,13 +187,13 @@ def in_controller(outcome: Outcome, k: int) -> str:
 
 def _other_day(outcome: Outcome) -> Content:
     """A card on another day's rows; nothing where there are none."""
-    found, said = outcome.verification, another_day(outcome)
-    if found is None or said is None:
+    verification, said = outcome.verification, another_day(outcome)
+    if verification is None or said is None:
         return ""
-    rows = found.measurements
+    rows = verification.measurements
     channel = rows.channels[leading(rows)[0]]
     before, after = (
-        errors(found.residuals[name], ~found.outlier, rows.channels)[channel.key]["rms"]
+        errors(verification.residuals[name], ~verification.outlier, rows.channels)[channel.key]["rms"]
         for name in ("nominal", "final")
     )
     good, sentence = said
@@ -283,7 +283,11 @@ def _corrections_in_words(count: int) -> str:
 
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
-    return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"< {100 * FAINT:g}\u00a0%"
+    return (
+        f"{number(100 * share, 2)}\u00a0%"
+        if abs(share) >= LEAST_SHARE_SHOWN
+        else f"< {100 * LEAST_SHARE_SHOWN:g}\u00a0%"
+    )
 
 
 def _remaining(outcome: Outcome) -> Iterator[Content]:
@@ -316,8 +320,8 @@ def _remaining(outcome: Outcome) -> Iterator[Content]:
 
 def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
     """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by; NaN is none."""
-    seen = outcome.stage("final").fit.estimated
-    return not np.any(seen <= sigma * math.exp(-WORTH_SAYING))
+    scatter = outcome.stage("final").fit.estimated
+    return not np.any(scatter <= sigma * math.exp(-WORTH_SAYING))
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
@@ -327,9 +331,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from kept_in_words(outcome, asked=False)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
-    known = None if outcome.measurements.direct else sigma_and_error(outcome)
-    if known is not None:
-        sigma, error = known
+    sigma_beside_error = None if outcome.measurements.direct else sigma_and_error(outcome)
+    if sigma_beside_error is not None:
+        sigma, error = sigma_beside_error
         more = (
             ""
             if sigma < error

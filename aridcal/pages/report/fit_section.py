@@ -69,8 +69,8 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
     for channel in outcome.channels:
         lines = []
         for step in path:
-            found = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
-            lines.append([step.title, *(number(f[s]) for f in found for s in STATISTICS)])
+            scores = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
+            lines.append([step.title, *(number(f[s]) for f in scores for s in STATISTICS)])
         yield table(head, lines, channel.title.capitalize())
     yield _error_words(outcome)
 
@@ -95,7 +95,7 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Markup:
     """Distribution of the errors before and after, from residuals (n, m)."""
     drawn: list[tuple[Content, Markup]] = []
     for k, channel in enumerate(channels):
-        values = {name: _told(row_errors(residual, channels)[k]) for name, residual in compared.items()}
+        values = {name: _without_nan(row_errors(residual, channels)[k]) for name, residual in compared.items()}
         if not all(len(v) for v in values.values()):
             continue
         alt = f"Histogram of the {channel.title} before and after calibration"
@@ -103,8 +103,8 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Markup:
     return figures(drawn)
 
 
-def _told(values: np.ndarray) -> np.ndarray:
-    """Those that are there: rows of other instruments have none."""
+def _without_nan(values: np.ndarray) -> np.ndarray:
+    """Values of one channel, shape (n,), without the NaN of rows that do not measure it."""
     return values[~np.isnan(values)]
 
 
@@ -124,9 +124,12 @@ def _axis_table(outcome: Outcome) -> Markup:
     """RMS of every step in each axis of the world."""
     mask, words = scored(outcome)
     path = steps(outcome)
-    axes, told = _axes(outcome.channels), spread(np.array([not c.inner for c in outcome.channels]), outcome.channels)
-    found = [(step.title, axis_rms(step.residual[mask], outcome.channels)[told]) for step in path]
-    lines = [[title, *(number(v) for v in values)] for title, values in found]
+    axes, of_the_arm = (
+        _axes(outcome.channels),
+        spread(np.array([not c.inner for c in outcome.channels]), outcome.channels),
+    )
+    scores = [(step.title, axis_rms(step.residual[mask], outcome.channels)[of_the_arm]) for step in path]
+    lines = [[title, *(number(v) for v in values)] for title, values in scores]
     own = "the residual in world axes" if outcome.measurements.direct else "each number read"
     return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
@@ -138,8 +141,8 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
     there = ~np.isnan(np.stack(list(compared.values()))).any(axis=0)
     order = np.arange(1.0, len(before) + 1)
     scale = spread(np.array([c.scale for c in channels]), channels)
-    told = np.flatnonzero(spread(np.array([not c.inner for c in channels]), channels))
-    for k, axis in zip(told.tolist(), _axes(channels), strict=True):
+    of_the_arm = np.flatnonzero(spread(np.array([not c.inner for c in channels]), channels))
+    for k, axis in zip(of_the_arm.tolist(), _axes(channels), strict=True):
         own = there[:, k]
         if not own.any():
             continue
@@ -194,22 +197,24 @@ def _configuration(outcome: Outcome, row: int) -> str:
 
 def verification(outcome: Outcome) -> Iterator[Content]:
     """How the models do on another day's data."""
-    found = outcome.verification
-    assert found is not None
-    yield tag("p", f"{found.file}: {counted(len(found.measurements), 'row')} that were not used for the calibration.")
-    if found.left_out:
-        yield tag("p", f"{found.left_out}.")
-    models = dict(found.residuals)
-    if found.realigned is not None:
-        models["final, frames refitted"] = found.realigned
-    sound = ~found.outlier
-    channels = found.measurements.channels
+    other_day = outcome.verification
+    assert other_day is not None
+    yield tag(
+        "p", f"{other_day.file}: {counted(len(other_day.measurements), 'row')} that were not used for the calibration."
+    )
+    if other_day.left_out:
+        yield tag("p", f"{other_day.left_out}.")
+    models = dict(other_day.residuals)
+    if other_day.realigned is not None:
+        models["final, frames refitted"] = other_day.realigned
+    sound = ~other_day.outlier
+    channels = other_day.measurements.channels
     shown = []
-    for channel in [channels[k] for k in np.flatnonzero(found.measurements.measures.sum(axis=0))]:
+    for channel in [channels[k] for k in np.flatnonzero(other_day.measurements.measures.sum(axis=0))]:
         scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
         shown.append(table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize()))
-    excluded = counted(int(found.outlier.sum()), "gross outlier")
+    excluded = counted(int(other_day.outlier.sum()), "gross outlier")
     yield tag(
         "p",
         f"{excluded} excluded. An error that is small only with the frames refitted says that the target or the instrument "

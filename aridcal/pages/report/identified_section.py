@@ -109,12 +109,12 @@ def identified(outcome: Outcome) -> Iterator[Content]:
 
 def _zeros(outcome: Outcome) -> Iterator[Content]:
     """The joints' zeros among the constants, as those who adjust them call them."""
-    found = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
-    if not found:
+    zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
+    if not zeros:
         return
-    lines: list[list[Content]] = [[zero.joint, codes(zero.names), zero_in_words(zero)] for zero in found]
-    known = {zero.joint for zero in found}
-    rest = [name for name in outcome.robot.readings if name not in known]
+    lines: list[list[Content]] = [[zero.joint, codes(zero.names), zero_in_words(zero)] for zero in zeros]
+    joints = {zero.joint for zero in zeros}
+    rest = [name for name in outcome.robot.readings if name not in joints]
     said = tag(
         "p",
         "A zero that is off by +1 mrad (1 mm of a sliding joint) means that the joint stands that much beyond its reading. "
@@ -125,7 +125,7 @@ def _zeros(outcome: Outcome) -> Iterator[Content]:
     )
     head = ["joint", "constant", "zero off by ± 1σ"]
     shown = table(head, lines, "Zeros of the joints, among the other constants", numbers=2)
-    yield fold(f"Zeros of {counted(len(found), 'joint')}", said, shown)
+    yield fold(f"Zeros of {counted(len(zeros), 'joint')}", said, shown)
 
 
 def _constants(outcome: Outcome) -> Iterator[Content]:
@@ -200,10 +200,10 @@ def length_or_angle(value: float, angle: bool) -> str:
 def _frames(outcome: Outcome) -> Iterator[Content]:
     """A table for each identified frame."""
     status = {p["name"]: p["status"] for p in parameters(outcome.stage("geometric").fit)}
-    found = frames(outcome.stage("final"))
-    shown = list(found.items())[:MOST_FRAMES]
+    every_frame = frames(outcome.stage("final"))
+    shown = list(every_frame.items())[:MOST_FRAMES]
     yield tag("div", [_frame(name, frame, status) for name, frame in shown], class_="links")
-    rest = len(found) - len(shown)
+    rest = len(every_frame) - len(shown)
     if rest:
         yield tag("p", tag("em", f"and {rest} more; result.json lists them all"))
 
@@ -214,8 +214,8 @@ def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Markup:
     values = [*frame["xyz"], *frame["rpy"]]
     for k, component in enumerate(FRAME_COMPONENTS):
         angle = k >= 3
-        known = status[f"{name}.{component}"]
+        state = status[f"{name}.{component}"]
         unit = "mrad" if angle else "mm"
-        spread = f"{number(1e3 * frame['std'][k], 2)} {unit}" if known == "identified" else known
+        spread = f"{number(1e3 * frame['std'][k], 2)} {unit}" if state == "identified" else state
         lines.append([component, length_or_angle(values[k], angle), spread])
     return table(["", "value", "± 1σ"], lines, tag("code", name))

@@ -18,7 +18,7 @@ from aridcal.system.wording import number, range_in_words
 AT_TIP = ("tip_target.", "tip_target[")
 
 JOINT_VALUES = (
-    "Use the kind of joint values that was recorded here: reported and commanded ones differ by 0.1 to 0.2 mrad on real arms."
+    "Use the kind of joint values that was recorded here: reported and commanded ones differ by 0.1 to 0.2 mrad."
 )
 
 
@@ -44,7 +44,7 @@ def limits(outcome: Outcome) -> Iterator[Content]:
 
 
 def _outside(outcome: Outcome) -> Content:
-    """On extrapolation."""
+    """Joints of which less than half of the range was measured, and what the model does outside."""
     ranges = [f"{j.name} ({range_in_words(j.seen, j.kind)})" for j in narrow_joints(outcome)]
     measured = (
         f"Less than half of the range was measured of: {', '.join(ranges)}."
@@ -60,7 +60,7 @@ def _outside(outcome: Outcome) -> Content:
 
 
 def _uncertainty(outcome: Outcome) -> str:
-    """On what each standard deviation covers."""
+    """What each standard deviation covers, and what it does not."""
     noise = f"{sigmas_in_words(outcome.scatter, outcome.channels)} {per_number(outcome)}"
     source = (
         "as declared in the campaign"
@@ -110,11 +110,11 @@ def _after_a_change(things: bool) -> Markup:
 def _inside_the_target(outcome: Outcome) -> list[str]:
     """Where those coefficients act that are confounded with the target's frame, in alphabetical order."""
     redundant = outcome.stage("geometric").fit.redundant
-    found = set()
+    places = set()
     for name, partners in redundant.items():
         if not name.startswith(AT_TIP) and any(partner.startswith(AT_TIP) for partner in partners):
-            found.add(name.rsplit(".", 1)[0])
-    return sorted(found)
+            places.add(name.rsplit(".", 1)[0])
+    return sorted(places)
 
 
 def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozenset()) -> Iterator[Content]:

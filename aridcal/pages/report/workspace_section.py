@@ -17,11 +17,11 @@ from aridcal.system.wording import number
 
 def workspace(outcome: Outcome) -> Iterator[Content]:
     """Pictures of slices, a table of the whole range and of the region, and what is kept within."""
-    known = outcome.certainty
-    if known is None:
+    certainty = outcome.certainty
+    if certainty is None:
         return
-    lines = [_line("the joints' whole range", known.anywhere), _line(known.title, known.region)]
-    if not any(part.told.any() for part in (known.anywhere, known.region)):
+    lines = [_line("the joints' whole range", certainty.anywhere), _line(certainty.title, certainty.region)]
+    if not any(part.told.any() for part in (certainty.anywhere, certainty.region)):
         yield tag("p", "No reading tells where the target is: a part of what moves it is seen by no instrument.")
         return
     head = [
@@ -39,17 +39,17 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "the model lacks there, nobody knows.",
     )
     shown = table(head, lines, "Uncertainty of the target over the workspace")
-    sure = known.anywhere.sigma[known.anywhere.told]
+    sure = certainty.anywhere.sigma[certainty.anywhere.told]
     median = f": median {number(1e3 * float(np.median(sure)))} mm" if len(sure) else ""
-    yield fold(f"1σ of the target over the workspace{median}", shown, figures(_slices(known)), said)
-    parts = list(_parts_of_bounds(known))
+    yield fold(f"1σ of the target over the workspace{median}", shown, figures(_slices(certainty)), said)
+    parts = list(_parts_of_bounds(certainty))
     if parts:
-        yield fold(f"What the errors in {known.title} consist of", parts)
+        yield fold(f"What the errors in {certainty.title} consist of", parts)
 
 
-def _parts_of_bounds(known: Certainty) -> Iterator[Markup]:
+def _parts_of_bounds(certainty: Certainty) -> Iterator[Markup]:
     """What each bound of the first screen consists of: the calibration's uncertainty, and what held-out rows leave beyond."""
-    for part in known.kept:
+    for part in certainty.kept:
         if not part.rows or np.isnan(part.calibration):
             continue
         unit = "mrad" if part.of == "rotation" else "mm"
@@ -73,14 +73,14 @@ def _line(title: str, part: Workspace) -> list[Content]:
     return [title, *(number(float(value)) for value in shown), where, f"{100 * part.measured.mean():.0f} %"]
 
 
-def _slices(known: Certainty) -> list[tuple[Content, Markup]]:
+def _slices(certainty: Certainty) -> list[tuple[Content, Markup]]:
     """A picture of each slice."""
     drawn: list[tuple[Content, Markup]] = []
-    told = [(cut, cut.workspace.select(cut.workspace.told)) for cut in known.slices if cut.workspace.told.any()]
-    if not told:
+    parts = [(cut, cut.workspace.select(cut.workspace.told)) for cut in certainty.slices if cut.workspace.told.any()]
+    if not parts:
         return drawn
-    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in told]))
-    for cut, part in told:
+    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in parts]))
+    for cut, part in parts:
         first, second = ("xyz"[axis] for axis in cut.axes)
         across = "xyz"[3 - sum(cut.axes)]
         what = f"1σ of the target, worst direction, {first}–{second} plane at {across} = {cut.at:.2f} m"
