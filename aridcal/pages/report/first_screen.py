@@ -38,7 +38,7 @@ from aridcal.jobs.calibrate.key_figures import (
 from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.pages.drawing.frame import card
-from aridcal.pages.drawing.html import Content, codes, tag
+from aridcal.pages.drawing.html import Content, bullets, codes, fold, tag
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,
@@ -121,7 +121,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     yield tag(
         "div",
         tag("div", tag("h2", "Main corrections"), list(_causes(outcome))),
-        tag("div", tag("h2", "What remains"), tag("p", list(_remaining(outcome)))),
+        tag("div", tag("h2", "What remains"), list(_remaining(outcome))),
         tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
         class_="answers",
     )
@@ -290,32 +290,40 @@ def _percent(share: float) -> str:
     )
 
 
-def _remaining(outcome: Outcome) -> Iterator[Content]:
-    """The verdict, and the noise that no model can get below."""
-    said = outcome.verdict
-    if said.noise_unknown:
+def _remaining(outcome: Outcome) -> Iterator[Markup]:
+    """The verdict with its reasons, and the noise that no model can get below."""
+    verdict = outcome.verdict
+    if verdict.noise_unknown:
         sentence = noise_unknown_in_words(outcome)
-        yield f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
+        said = f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
     else:
-        yield VERDICTS[said.word].sentences
-    if said.reasons and not said.noise_unknown:
-        yield f" Signs of it: {'; '.join(said.reasons)}."
-    if said.share > 0:
-        yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."
-    per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
+        said = VERDICTS[verdict.word].sentences
+    repeatable = f" {100 * verdict.share:.0f} % of the remaining variance is repeatable." if verdict.share > 0 else ""
+    yield tag("p", said, repeatable)
+    if verdict.reasons and not verdict.noise_unknown:
+        yield tag("p", "Signs of it:")
+        yield bullets(verdict.reasons)
+    yield tag("p", _noise(outcome))
     causes = causes_in_words(outcome)
-    whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
-    in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or outcome.measurements.direct else ""
-    if outcome.noise_source == "declared":
-        yield f" Declared noise{whose}: {per_axis}{in_all}."
-        yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
-    else:
-        yield f" Noise{whose} estimated from the residuals: {per_axis}{in_all}."
     if causes:
-        yield f" {causes}"
-    if outcome.noise_source != "declared" and outcome.repeats is not None:
-        yield f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
-        yield NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+        yield fold("What scatters", tag("p", causes))
+
+
+def _noise(outcome: Outcome) -> str:
+    """The instrument's noise, where it is known from, and whether it is what no model can get below."""
+    per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
+    more = bool(causes_in_words(outcome))
+    whose, all_of_it = (" of the instrument", "with all that scatters ") if more else ("", "")
+    in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if more or outcome.measurements.direct else ""
+    if outcome.noise_source == "declared":
+        floor = NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
+        return f"Declared noise{whose}: {per_axis}{in_all}.{floor}"
+    said = f"Noise{whose} estimated from the residuals: {per_axis}{in_all}."
+    if outcome.repeats is None:
+        return said
+    repeats = f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
+    floor = NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    return f"{said}{repeats}{floor}"
 
 
 def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
@@ -356,7 +364,8 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     held_out, every = (int(outcome.parts()[part].sum()) for part in ("test", "test_all"))
     if every:
         flagged = every - held_out
-        yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome)}."
+        none = f"0 of {every:,} held-out rows flagged as outliers"  # the cards have their error
+        yield flagged <= QUESTIONABLE * every, f"{every_held_out_row(outcome) if flagged else none}."
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
         if 0 < held_out < FEW:
