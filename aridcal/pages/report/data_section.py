@@ -117,7 +117,7 @@ def _repeats(outcome: Outcome) -> Content:
     return tag(
         "p",
         f"{repeated} ({counted(repeats.rows, 'row')}). "
-        f"They scatter by {sigmas_in_words(repeats.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability}",
+        f"Repeats scatter by {sigmas_in_words(repeats.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability}",
     )
 
 
