@@ -49,7 +49,7 @@ CHROMIUM ?= chromium
 SHOOT = $(CHROMIUM) --headless --no-sandbox --hide-scrollbars --use-angle=swiftshader --enable-unsafe-swiftshader \
 	--virtual-time-budget=9000
 pictures:
-	$(SHOOT) --window-size=1200,620 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
+	$(SHOOT) --window-size=1280,860 --screenshot=docs/images/report.png file://$(CURDIR)/$(DEMO)/results/report.html
 	$(BIN)/python docs/loop.py
 	$(SHOOT) --window-size=1200,760 --screenshot=docs/images/scene.png file://$(CURDIR)/$(DEMO)/results/scene.html
 

@@ -38,7 +38,6 @@ from aridcal.command_line import (
     print_headline,
     screens,
 )
-from aridcal.engine.instruments.channels import INCLINATION
 from aridcal.files.campaign import load_campaign
 from aridcal.files.measurement_settings import length_argument
 from aridcal.jobs.calibrate.job_inputs import read_job
@@ -251,14 +250,14 @@ def _good(outcome: Outcome) -> bool:
 
 
 def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
-    """The way to the controller; none of few data, of a model no better than the nominal one, or where no place was measured."""
-    nominal, *_, full = (export.error for export in handover.exports)
-    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == INCLINATION.name:
+    """The way to the controller, if there is one."""
+    from aridcal.pages.drawing.words import next_command  # as above
+
+    following = next_command(outcome, handover, str(out))
+    if not following:
         return []
-    ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
-    limb = f" --of {outcome.robot.tip}" if outcome.robot.others else ""
     return [
-        f"next: aridcal compensate {out} program.{ending} -o corrected.{ending}{limb}",
+        f"next: {following}",
         "      docs/apply/index.md has a page for each controller: what it takes, and how to undo it",
     ]
 

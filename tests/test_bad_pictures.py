@@ -30,7 +30,7 @@ from aridcal.jobs.calibrate.controllers import Handover, hand_over
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
-from aridcal.pages.drawing.html import LONGEST, attempt, note, noting
+from aridcal.pages.drawing.html import LONGEST_REASON, attempt, note, noting
 from aridcal.pages.report import page
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
@@ -280,7 +280,7 @@ def test_a_bad_picture_gives_one_notice_with_its_link_and_the_reason(name: str, 
     assert len(about) == 1, about
     assert about[0].startswith(f"link '{name}' is not drawn: ")
     assert BAD[name][1] in about[0]
-    assert about[0].isprintable() and len(about[0]) < LONGEST + 100
+    assert about[0].isprintable() and len(about[0]) < LONGEST_REASON + 100
     assert ".py:" not in about[0]  # none is a bug of ours
 
 
@@ -525,7 +525,7 @@ def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: Han
 def test_a_whole_page_that_fails_is_a_page_that_says_so(
     where: str, error: Exception, outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(f"aridcal.{where}", fails(error))
+    monkeypatch.setattr(f"aridcal.pages.{where}", fails(error))
     path = tmp_path / "page.html"
     notices = scene.write_scene(outcome, path) if "scene" in where else page.write_report(outcome, handover, path)
     assert type(error).__name__ in notices[-1]
@@ -569,7 +569,7 @@ def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
 def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
     with noting() as notices:
         attempt("it", fails(ValueError("x" * 10_000 + "\n\x1b[31m\x00")), lambda notice: None)
-    assert notices[0].isprintable() and len(notices[0]) < LONGEST + 100
+    assert notices[0].isprintable() and len(notices[0]) < LONGEST_REASON + 100
     assert "test_bad_pictures.py:" in notices[0]
 
 

@@ -153,7 +153,7 @@ def test_the_page_has_the_figures_of_the_plan(tmp_path: Path) -> None:
     known = known_of(tmp_path)
     page = Tags()
     text = plan_page(plan, known.robot, "cell <b>&1.yaml")
-    page.feed(text)
+    page.feed(str(text))
     assert not page.open and "<b>&1" not in text and "cell <b>&1.yaml" in page.text
     assert "10 configurations to measure" in page.text and f"{1e3 * plan.at_n.rms:.3g} mm" in page.text
     assert f"{1e3 * plan.random:.3g} mm" in page.text and "joint_3: direction" in page.text

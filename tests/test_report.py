@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+from in_sight import MOST_WORDS, words_in_sight
 from lxml import html
 from markupsafe import Markup
 from rich.console import Console
@@ -139,6 +140,14 @@ def test_the_file_is_the_page_and_the_page_is_the_same_each_time(
     assert (tmp_path / "report.html").read_text("utf-8") == report
 
 
+def test_little_is_in_sight_and_all_tables_but_the_exports_are_a_click_away(report: str) -> None:
+    assert 500 < len(words_in_sight(report)) <= MOST_WORDS
+    open_tables = html.fromstring(report).xpath("//table[not(ancestor::details)]/caption/text()")
+    assert [caption.partition(",")[0] for caption in open_tables] == ["Exports for controllers"]
+    folds = html.fromstring(report).xpath("//details")
+    assert all(fold.get("open") is None and fold[0].tag == "summary" and fold[0].text_content() for fold in folds)
+
+
 def test_every_figure_has_words_and_units(report: str) -> None:
     plots = html.fromstring(report).xpath('//*[name()="svg"]')
     assert (
@@ -207,7 +216,7 @@ def test_the_first_screen_has_the_errors_on_held_out_rows(outcome: Outcome, repo
             assert f"{number(errors(stage.residual, test, outcome.channels)[key]['rms'])} {unit}" in first
     assert "Calibration of ur10" in first
     assert "measurements.csv · 124 rows" in first
-    assert f"on {test.sum()} held-out rows" in first
+    assert f"On {test.sum()} held-out rows" in first
     for question in ("Main corrections", "What remains", "Can I trust it?"):
         assert question in first
 
@@ -215,7 +224,7 @@ def test_the_first_screen_has_the_errors_on_held_out_rows(outcome: Outcome, repo
 def test_each_figure_of_the_first_screen_says_whether_it_holds_the_noise(outcome: Outcome, report: str) -> None:
     """Errors of rows hold the instrument's, what is said of the region does not: side by side they would contradict."""
     screen = text(report, "//header")
-    assert "held-out rows, the instrument's noise included. After it 95 % are below" in screen
+    assert "held-out rows, the instrument's noise included. 95 % are below" in screen
     bounds = re.findall(r"off by less than [\d.]+ m\w+ ([^,]*), with 95 %", screen)
     assert bounds and set(bounds) == {"without the instrument's noise"}
 
@@ -289,7 +298,7 @@ def test_without_held_out_rows_the_report_says_so(truth: robots.Truth, tmp_path:
     found = identify(robots.write_campaign(tmp_path, truth, rows))
     report = whole_page(found)
     assert_sound(report)
-    assert "on 120 fitted rows" in text(report, "//header")
+    assert "On 120 fitted rows" in text(report, "//header")
     assert "No rows were held out" in text(report, "//header")
     assert "fitted: RMS" in text(report, "//section[@id='fits']")
     assert "held out: RMS" not in report
@@ -489,11 +498,11 @@ def test_each_effect_has_its_line_between_the_geometry_and_the_whole(outcome: Ou
     assert [float(bar.xpath(".//i/@style")[0][6:-1]) for bar in bars] == pytest.approx([100, 75, 50, 25], abs=0.1)
     first = text(report, "//header")
     assert "9 more" not in first
-    assert f"joint_gain at {names[0]} ({KINDS['joint_gain'].words}) for 31 %" in first  # 0.75^2 - 0.5^2
+    assert f"31 % joint_gain at {names[0]} ({KINDS['joint_gain'].words})" in first  # 0.75^2 - 0.5^2
     confounded = replace(effects[0], confounded_with=(effects[1].effect,))
     diagnosis = Diagnosis((confounded, effects[1]), (), (), 0, ())
     first = text(page(replace(outcome, stages=stages, diagnosis=diagnosis), handover), "//header")
-    assert f"({KINDS['joint_gain'].words}, or as well joint_gain at {names[1]}) for 31 %" in first
+    assert f"31 % joint_gain at {names[0]} ({KINDS['joint_gain'].words}, or as well joint_gain at {names[1]})" in first
 
 
 # ---- hostile names --------------------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 import pytest
+from in_sight import MOST_WORDS, words_in_sight
 
 import aridcal
 from aridcal.engine.corrections.effect import Coefficient
@@ -65,6 +66,10 @@ def test_the_shoulder_that_yields_is_found_and_how_much(two_arms: aridcal.Calibr
     assert 3.5 < two_arms.errors.loc["nominal"].loc["test"]["position_rms_mm"] < 3.6  # as the page has them
     assert 0.19 < two_arms.errors.loc["final"].loc["test"]["position_rms_mm"] < 0.21
     assert 0.05 < two_arms.errors.loc["final"].loc["test"]["distance_rms_mm"] < 0.053
+
+
+def test_the_report_of_two_arms_is_read_in_ten_minutes(two_arms: aridcal.Calibration) -> None:
+    assert len(words_in_sight(two_arms.report().html)) <= MOST_WORDS
 
 
 def test_the_hands_are_where_pinocchio_has_them_in_postures_that_nobody_measured(two_arms: aridcal.Calibration) -> None:

@@ -44,7 +44,7 @@ OWN = (
 )
 
 COVERAGE = 2.0
-"""Of expanded uncertainties: for normal noise 95 % of one direction's errors are within two standard deviations."""
+"""Coverage factor k: for normal noise 95 % of one direction's errors are within two standard deviations."""
 
 MOST_JOINTS = 24
 """Joints whose ranges are stated; an arm has seven."""
@@ -56,7 +56,7 @@ MOST_LACKING = 24
 """Characters without a font that are named."""
 
 MOST_REASONS = 3
-"""Of the verdict; the report has all."""
+"""Reasons of the verdict that are stated; the report has all."""
 
 LONGEST_REASON, LONGEST_SENTENCE = 200, 400
 """Characters of a reason that are shown, and of a sentence with a file's name in it."""
@@ -90,8 +90,8 @@ def write_certificate(outcome: Outcome, folder: Path, issued: datetime.date) -> 
     if about is None:
         return ()
     with noting() as notices:
-        made = attempt("the certificate", lambda: _drawn(certificate(outcome, about, folder, issued)), lambda _: {})
-    for name, content in made.items():
+        texts = attempt("the certificate", lambda: _drawn(certificate(outcome, about, folder, issued)), lambda _: {})
+    for name, content in texts.items():
         (folder / name).write_bytes(content)
     return tuple(notices)
 
@@ -119,7 +119,7 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
     """
     unknown = outcome.verdict.noise_unknown
     verdict = noise_unknown_in_words(outcome) if unknown else VERDICTS[outcome.verdict.word].sentences.partition(".")[0]
-    judged, known = _judged(outcome), _known(outcome)
+    judged, target = _judged(outcome), _known(outcome)
     reference = f"No. {about.certificate_number}. " if about.certificate_number else ""
     return OnePage(
         title="Calibration certificate: the maker's own record",
@@ -129,14 +129,14 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
                 (f"{j.noun}, RMS", f"before {number(j.before['rms'])}, after {number(j.after['rms'])} {j.unit}")
                 for j in judged
             ),
-            (f"Uncertainty, k = {COVERAGE:g}", _in_short(known)),
+            (f"Uncertainty, k = {COVERAGE:g}", _in_short(target)),
             *_tolerances(outcome),
             ("Verdict", f"{verdict}."),
         ],
         parts=[
             Part("Robot and measurement", facts=list(_facts(outcome, about))),
             _errors(outcome, judged),
-            Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome, known)]),
+            Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome, target)]),
             Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS]),
             *_iso(outcome),
             Part("Files", table=[("file", "sha256"), *_hashes(outcome, folder)]),
@@ -168,7 +168,7 @@ class _Judged:
 def _judged(outcome: Outcome) -> list[_Judged]:
     """Every channel that judges the arm, of many the first."""
     mask, _ = scored(outcome)
-    found = []
+    scores = []
     for k, channel in enumerate(outcome.channels):
         own = mask & outcome.measurements.measures[:, k]
         if not channel.inner and own.any():
@@ -177,8 +177,8 @@ def _judged(outcome: Outcome) -> list[_Judged]:
                 for name in ("nominal", "final")
             )
             noun = named(f"{channel.noun[0].upper()}{channel.noun[1:]}")
-            found.append(_Judged(noun, channel.shown, int(own.sum()), first, last))
-    return found[:MOST_CHANNELS]
+            scores.append(_Judged(noun, channel.shown, int(own.sum()), first, last))
+    return scores[:MOST_CHANNELS]
 
 
 def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
@@ -264,69 +264,73 @@ class _Known:
 def _known(outcome: Outcome) -> _Known | None:
     """How well the target is known; None where nothing measures its place, or no length gives its scale."""
     precision = outcome.precision
-    known = outcome.certainty
-    if known_scale(outcome.measurements) in (None, math.inf) or not np.isfinite(precision.position).all() or not known:
+    certainty = outcome.certainty
+    if (
+        known_scale(outcome.measurements) in (None, math.inf)
+        or not np.isfinite(precision.position).all()
+        or not certainty
+    ):
         return None
     median, most = (1e3 * COVERAGE * float(f(precision.position)) for f in (np.median, np.max))
-    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(known.anywhere.sigma, 95)))
+    return _Known(median, most, 1e3 * COVERAGE * float(np.percentile(certainty.anywhere.sigma, 95)))
 
 
 def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
     """Each tolerance that was given, and whether it is kept."""
-    known = outcome.certainty
-    if known is None:
+    certainty = outcome.certainty
+    if certainty is None:
         return
-    sure = f"in {100 * SHARE:.0f} % of {known.title}, with {100 * CONFIDENCE:.0f} % confidence"
-    for part in known.kept:
+    sure = f"in {100 * SHARE:.0f} % of {certainty.title}, with {100 * CONFIDENCE:.0f} % confidence"
+    for part in certainty.kept:
         if part.tolerance is not None:
             unit = "mrad" if part.of == "rotation" else "mm"
             answer = "kept" if part.within else "cannot be said to be kept"
             yield f"Tolerance of {part.of}", f"{number(1e3 * part.tolerance)} {unit}: {answer} {sure}"
 
 
-def _in_short(known: _Known | None) -> str:
+def _in_short(target: _Known | None) -> str:
     """The uncertainty among the figures."""
     return (
         "not known"
-        if known is None
-        else f"by noise alone: median {number(known.median)}, at most {number(known.most)} mm"
+        if target is None
+        else f"by noise alone: median {number(target.median)}, at most {number(target.most)} mm"
     )
 
 
-def _uncertainty(outcome: Outcome, known: _Known | None) -> str:
+def _uncertainty(outcome: Outcome, target: _Known | None) -> str:
     """Expanded uncertainty of the target, and what it leaves out."""
     scale = "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in scale_in_words(outcome))
-    if known is None:
+    if target is None:
         return f"These rows do not tell where the target is, so no uncertainty of its place can be stated.{scale}"
     agreed = None if outcome.measurements.direct else sigma_and_error(outcome)
     consistent = (
         f" The rows agree to {number(agreed[1])} mm RMS at the target: that is consistency, not accuracy."
-        if agreed is not None and known.median > agreed[1]
+        if agreed is not None and target.median > agreed[1]
         else ""
     )
     beyond = "" if outcome.verdict.word == "noise_floor" else " By the verdict, real errors may well exceed it."
     return (
         f"Expanded uncertainty of its position in the worst direction, k = {COVERAGE:g} (about 95 % for normal noise): median "
-        f"{number(known.median)} mm, at most {number(known.most)} mm at the fitted rows; in 95 % of the joints' whole range at "
-        f"most {number(known.anywhere)} mm. It is what the measurement noise makes of the calibration, and leaves out systematic "
-        "errors of the instrument, the robot's own repeatability and errors that the model lacks."
+        f"{number(target.median)} mm, at most {number(target.most)} mm at the fitted rows; in 95 % of the joints' whole range at "
+        f"most {number(target.anywhere)} mm. It is what the measurement noise makes of the calibration, and leaves out "
+        "systematic errors of the instrument, the robot's own repeatability and errors that the model lacks."
         f"{consistent}{beyond}{scale}"
     )
 
 
 def _validity(outcome: Outcome) -> Iterator[tuple[str, str]]:
     """Ranges of all that predictions depend on, and the gaps in them."""
-    robot, seen = outcome.robot, seen_in(outcome)
+    robot, ranges = outcome.robot, seen_in(outcome)
     kinds = dict(zip(robot.readings, robot.kinds, strict=True))
-    joints = [f"{named(name)} {range_in_words(ends(seen[name]), kinds[name])}" for name in robot.readings]
+    joints = [f"{named(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
     yield "Joints", _some(joints, MOST_JOINTS)
-    others = [(name, *ends(values)) for name, values in seen.items() if name not in kinds]
+    others = [(name, *ends(values)) for name, values in ranges.items() if name not in kinds]
     if others:
         shown = [f"{named(name)} {number(low)} to {number(high)}" for name, low, high in others]
         yield "Other quantities", _some(shown, MOST_COVARIATES)
     gaps = [
         f"{named(name)} {range_in_words(gap, kinds[name]) if name in kinds else ' to '.join(map(number, gap))}"
-        for name, values in seen.items()
+        for name, values in ranges.items()
         for gap in holes(values)
     ]
     yield "Gaps in them", _some(gaps, MOST_GAPS) or "none"

@@ -16,37 +16,37 @@ from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
 from aridcal.pages.report.page import drawn
 from aridcal.system.wording import number, plus_minus, reading_in_words, shown_in
 
-LISTED = 40
+MOST_LISTED = 40
 """Coefficients that the page lists; `compare.json` has all."""
 
 
-def compare_page(found: Comparison, names: tuple[str, str]) -> Markup:
+def compare_page(comparison: Comparison, names: tuple[str, str]) -> Markup:
     """The page, self-contained.
 
     Args:
-        found: What changed.
+        comparison: What changed.
         names: Of the two calibrations, as the user gave them.
     """
-    verdict, *others = lines(found)
+    verdict, *others = lines(comparison)
     chapters = [
-        ("How far are the poses apart?", _poses(found)),
-        ("Which constants and effects?", _causes(found)),
-        ("Every coefficient by itself", _constants(found)),
-        ("What was compared", _about(found, names)),
+        ("How far are the poses apart?", _poses(comparison)),
+        ("Which constants and effects?", _causes(comparison)),
+        ("Every coefficient by itself", _constants(comparison)),
+        ("What was compared", _about(comparison, names)),
     ]
-    robot = found.urdf[0]
+    robot = comparison.urdf[0]
     head = [
         tag("p", f"{names[0]} and {names[1]} · {robot}", class_="about"),
-        tag("h1", "Changed" if found.changed else "Nothing changed beyond the uncertainty"),
+        tag("h1", "Changed" if comparison.changed else "Nothing changed beyond the uncertainty"),
         bullets([verdict, *others]),
     ]
     parts = sections([(name, drawn(name, content)) for name, content in chapters])
     return framed_page(f"{names[0]} and {names[1]} compared", head, parts, f"aridcal {__version__}")
 
 
-def _poses(found: Comparison) -> Iterator[Content]:
+def _poses(comparison: Comparison) -> Iterator[Content]:
     """How far apart the targets are, beside what the uncertainty makes, and where most."""
-    d = found.difference
+    d = comparison.difference
     apart = 1e3 * np.linalg.norm(d.apart[:, :3], axis=1)
     usual = 1e3 * np.sqrt(np.sum(d.expected[:, :3] ** 2, axis=1))
     shown = {"apart": apart, "1 sigma by the uncertainty": usual}
@@ -62,10 +62,10 @@ def _poses(found: Comparison) -> Iterator[Content]:
     yield table(["", *d.robot.readings, "apart", "1 sigma"], rows, "Where they are farthest apart")
 
 
-def _causes(found: Comparison) -> Iterator[Content]:
+def _causes(comparison: Comparison) -> Iterator[Content]:
     """The causes, by coefficient."""
     rows: list[list[Content]] = []
-    for c in found.causes.found:
+    for c in comparison.causes.found:
         for k, name in enumerate(c.names):
             unit, scale = shown_in(c.units[k])
             rows.append(
@@ -79,7 +79,9 @@ def _causes(found: Comparison) -> Iterator[Content]:
                 ]
             )
     if not rows:
-        yield tag("p", "None: there is nothing to explain." if not found.changed else "None explains it by itself.")
+        yield tag(
+            "p", "None: there is nothing to explain." if not comparison.changed else "None explains it by itself."
+        )
         return
     yield table(
         ["what", "coefficient", "before", "change", "unit", "chance of as much if nothing changed"],
@@ -87,19 +89,19 @@ def _causes(found: Comparison) -> Iterator[Content]:
         "The fewest changes that explain the poses, joint covariance of both; p for all candidates together",
         numbers=2,
     )
-    yield tag("p", f"What they leave: {p_in_words(found.causes.rest)}.")
+    yield tag("p", f"What they leave: {p_in_words(comparison.causes.rest)}.")
 
 
-def _constants(found: Comparison) -> Iterator[Content]:
+def _constants(comparison: Comparison) -> Iterator[Content]:
     """Coefficients that both have."""
-    every = constants(found)
+    every = constants(comparison)
     yield tag(
         "p",
         "These stand for one another where rows tell them only together: one change may show in several. The causes above "
         "are what remains when that is taken into account.",
     )
-    rows = [_coefficient(row) for row in every[:LISTED]]
-    which = "" if len(every) <= LISTED else f"; the {LISTED} surest of {len(every)}"
+    rows = [_coefficient(row) for row in every[:MOST_LISTED]]
+    which = "" if len(every) <= MOST_LISTED else f"; the {MOST_LISTED} surest of {len(every)}"
     yield table(["coefficient", "first", "second", "change", "unit", "p"], rows, f"Coefficients of both{which}")
 
 
@@ -115,14 +117,14 @@ def _coefficient(row: dict[str, Any]) -> list[Content]:
     ]
 
 
-def _about(found: Comparison, names: tuple[str, str]) -> Iterator[Content]:
+def _about(comparison: Comparison, names: tuple[str, str]) -> Iterator[Content]:
     """What both are, and what a reader should know."""
     rows: list[list[Content]] = []
-    for name, record in zip(names, found.records, strict=True):
+    for name, record in zip(names, comparison.records, strict=True):
         data = record.get("data", {})
         files = ", ".join(data.get("files", ()))
         version = record.get("versions", {}).get("aridcal", "")
         rows.append([name, files, version, str(data.get("rows", "")), str(data.get("train", ""))])
     yield table(["calibration", "tables", "aridcal", "rows", "fitted"], rows, "Both calibrations", numbers=3)
-    if found.notices:
-        yield bullets(found.notices)
+    if comparison.notices:
+        yield bullets(comparison.notices)

@@ -136,7 +136,7 @@ def _worst_first(done: Sequence[Row], channel: str) -> list[Row]:
 
 def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
     """Robots that are far from the others of their make."""
-    found, compared = standing_out(rows)
+    outliers, compared = standing_out(rows)
     if not compared:
         yield tag("p", f"Robots are set beside each other from {FEWEST_ROBOTS} of one make (one URDF) on.")
         return
@@ -152,10 +152,12 @@ def _standing_out(rows: Sequence[Row]) -> Iterator[Content]:
             "p",
             f"{counted(alone, 'robot')} of makes (URDFs) with fewer than {FEWEST_ROBOTS} robots {_were(alone)} not compared.",
         )
-    if not found:
+    if not outliers:
         yield tag("p", "No robot stands out.")
         return
-    lines = [[_name(out.robot), out.what, *_values(out), _times(out.times), number(out.threshold, 2)] for out in found]
+    lines = [
+        [_name(out.robot), out.what, *_values(out), _times(out.times), number(out.threshold, 2)] for out in outliers
+    ]
     head = ["robot", "number", "of this robot", "usual", "× scatter", "told from"]
     caption = (
         "How many robust standard deviations a robot is from the median of its make, and from how many on it is told"
@@ -182,24 +184,24 @@ def _times(times: float) -> str:
 
 def _drifting(ran: Ran) -> Iterator[Content]:
     """Constants between each robot's first and last run."""
-    asked = set(ran.now)
-    found, robots = drifting([row for row in ran.rows if row["robot"] in asked])
+    current = set(ran.now)
+    drifts, robots = drifting([row for row in ran.rows if row["robot"] in current])
     if not robots:
         yield tag(
             "p", "No robot was measured twice yet. Once some are, their first and their last runs are compared here."
         )
         return
-    beyond = [drift for drift in found if drift.beyond]
+    beyond = [drift for drift in drifts if drift.beyond]
     yield tag(
         "p",
         f"Of {counted(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
-        f"constants, {counted(len(found), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
+        f"constants, {counted(len(drifts), 'constant')} in all: {len(beyond):,} moved by more than the noise has them move. Of "
         f"fleets in which nothing moves, at most {100 * FALSE_ALARMS:.0f} % have any constant said to move; the standard "
         "deviations know of noise alone, and an effect that a model lacks moves constants, too. ",
         tag("code", "aridcal history"),
         " follows every run, and says when a drift began.",
     )
-    shown = [*beyond, *[drift for drift in found if not drift.beyond][:MOST_WITHIN]]
+    shown = [*beyond, *[drift for drift in drifts if not drift.beyond][:MOST_WITHIN]]
     if shown:
         head = ["robot", "constant", "", "first", "last", "change", "days", "σ of the change"]
         yield table(
@@ -211,11 +213,11 @@ def _drift(drift: Drift) -> list[Content]:
     unit, times = shown_in(drift.unit)
     (x1, s1), (x2, s2) = drift.first, drift.last
     values = [plus_minus(times * x, times * s) for x, s in ((x1, s1), (x2, s2), (x2 - x1, math.hypot(s1, s2)))]
-    told: Content = tag("strong", "moved") if drift.beyond else "within chance"
+    verdict: Content = tag("strong", "moved") if drift.beyond else "within chance"
     return [
         _name(drift.robot),
         drift.name,
-        told,
+        verdict,
         *(f"{value} {unit}" for value in values),
         fixed(drift.days, 0),
         number(drift.times, 2),
@@ -224,15 +226,15 @@ def _drift(drift: Drift) -> list[Content]:
 
 def _effects(done: Sequence[Row]) -> Iterator[Content]:
     """Effects by how many robots have them."""
-    found: dict[str, dict[str, list[Row]]] = {}
+    robots_of: dict[str, dict[str, list[Row]]] = {}
     for row in done:
         for coefficient in row["effects"]:
-            found.setdefault(coefficient["effect"], {}).setdefault(row["robot"], []).append(coefficient)
-    if not found:
+            robots_of.setdefault(coefficient["effect"], {}).setdefault(row["robot"], []).append(coefficient)
+    if not robots_of:
         yield tag("p", "No robot has an effect beyond its constants.")
         return
     lines: list[list[Content]] = []
-    for label, robots in sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0])):
+    for label, robots in sorted(robots_of.items(), key=lambda pair: (-len(pair[1]), pair[0])):
         gains = [own[0]["after"] / own[0]["before"] for own in robots.values() if own[0]["before"] and own[0]["after"]]
         gain = f"{100 * (1 - float(np.median(gains))):.0f} %" if gains else "–"
         declared = sum(own[0]["declared"] for own in robots.values())

@@ -25,13 +25,13 @@ def robot_table(ran: Ran) -> pd.DataFrame:
     """A row for each robot asked for, the worst first; what failed has no figures, what remains is not there."""
     rows = list(ran.now.values())
     names = [(stage, channel) for channel in channels_of(rows) for stage in STAGES[::-1]]
-    made = [
+    table_rows = [
         {key: typed(row)[key] for key in ROBOT_COLUMNS}
         | {f"{stage}_{channel}": error_of(row, stage, channel) for stage, channel in names}
         for row in rows
     ]
     errors = [f"{stage}_{channel}" for stage, channel in names]
-    table = pd.DataFrame(made, columns=[*ROBOT_COLUMNS, *errors])
+    table = pd.DataFrame(table_rows, columns=[*ROBOT_COLUMNS, *errors])
     return table.sort_values(errors[0], ascending=False, ignore_index=True) if errors else table
 
 
@@ -48,15 +48,15 @@ def nested_table(ran: Ran, column: str) -> pd.DataFrame:
 
 def outstanding_table(ran: Ran) -> pd.DataFrame:
     """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
-    found, _ = standing_out(list(ran.now.values()))
-    return pd.DataFrame([asdict(out) for out in found], columns=_names(StandsOut))
+    outliers, _ = standing_out(list(ran.now.values()))
+    return pd.DataFrame([asdict(out) for out in outliers], columns=_names(StandsOut))
 
 
 def drift_table(ran: Ran) -> pd.DataFrame:
     """Constants of the first run and the last one of each robot, [m] and [rad], worst first; ``beyond`` what chance gives."""
-    found, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
+    drifts, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
     columns = ["robot", "name", "unit", "first", "first_std", "last", "last_std", "days", "times", "beyond"]
-    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.beyond) for d in found]
+    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.beyond) for d in drifts]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -80,7 +80,7 @@ def _case(point: Point) -> Row:
 
 def again_table(halves: Sequence[Row]) -> pd.DataFrame:
     """Effects that runs on halves of a campaign's rows found, and the share of runs, most first."""
-    rows = [{"effect": label} | _estimate("share", found) for label, found in found_again(halves)]
+    rows = [{"effect": label} | _estimate("share", share) for label, share in found_again(halves)]
     return pd.DataFrame(rows, columns=["effect", *_estimate("share", None)])
 
 
@@ -89,9 +89,9 @@ def scatter_table(halves: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(Scatter))
 
 
-def _estimate(name: str, found: Estimate | None) -> Row:
+def _estimate(name: str, estimate: Estimate | None) -> Row:
     """A figure and its interval; nothing of what is not known."""
-    value, low, high = (None, None, None) if found is None else (found.value, found.low, found.high)
+    value, low, high = (None, None, None) if estimate is None else (estimate.value, estimate.low, estimate.high)
     return {name: value, f"{name}_low": low, f"{name}_high": high}
 
 

@@ -20,15 +20,15 @@ from aridcal.pages.report.page import drawn
 from aridcal.system.wording import counted, enumerated, number, plus_minus, shown_in
 
 MONTH = 365.25 / 12
-"""[d]"""
+"""Mean length of a month, [d]."""
 
-PICTURED = 24
+MOST_PICTURED = 24
 """Alarms that the page draws."""
 
-PICTURED_CYCLES = 6
+MOST_PICTURED_CYCLES = 6
 """Constants that may go with the season that it draws."""
 
-LISTED = 200
+MOST_LISTED = 200
 """Robots that the page lists."""
 
 MOST_CYCLES = 4
@@ -70,41 +70,41 @@ def robot_lines(robot: RobotHistory) -> list[str]:
     return [*said, *robot.notices]
 
 
-def remarks(found: History) -> list[str]:
+def remarks(history: History) -> list[str]:
     """What is to be said of each robot, the worst first."""
-    return [f"{robot.name}: {line}" for robot in found.robots for line in robot_lines(robot)]
+    return [f"{robot.name}: {line}" for robot in history.robots for line in robot_lines(robot)]
 
 
-def lines(found: History) -> list[str]:
+def lines(history: History) -> list[str]:
     """The answer in words."""
-    return [*remarks(found), *about(found)]
+    return [*remarks(history), *about(history)]
 
 
-def about(found: History) -> list[str]:
+def about(history: History) -> list[str]:
     """What was looked at, and what alarms are worth."""
-    alarmed = [robot for robot in found.robots if robot.alarms]
-    runs = sum(len(robot.runs) for robot in found.robots)
+    alarmed = [robot for robot in history.robots if robot.alarms]
+    runs = sum(len(robot.runs) for robot in history.robots)
     said = [
-        f"{counted(len(found.robots), 'robot')}, {counted(runs, 'run')}: {len(alarmed) or 'no'} "
+        f"{counted(len(history.robots), 'robot')}, {counted(runs, 'run')}: {len(alarmed) or 'no'} "
         f"{'robot' if len(alarmed) == 1 else 'robots'} with an alarm",
-        f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {found.series:,} "
+        f"of seasons in which nothing changes at most {FALSE_ALARMS:.0%} have an alarm anywhere among the {history.series:,} "
         "constants that were looked at, month by month; a yearly cycle is no alarm",
     ]
     cycling: dict[str, list[str]] = {}
-    for robot in found.robots:
+    for robot in history.robots:
         for w in robot.cycles:
             cycling.setdefault(w.name, []).append(robot.name)
     for name, robots in sorted(cycling.items(), key=lambda pair: -len(pair[1]))[:MOST_CYCLES]:
         said.append(f"{name} of {_some(robots)} moved as a yearly cycle does: season or drift, more months will tell")
     if len(cycling) > MOST_CYCLES:
         said.append(f"and {len(cycling) - MOST_CYCLES} other constants did so")
-    few = [robot.name for robot in found.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST_RUNS]
-    none = [robot.name for robot in found.robots if not robot.watched]
+    few = [robot.name for robot in history.robots if robot.watched and len(robot.watched[0].series.day) < FEWEST_RUNS]
+    none = [robot.name for robot in history.robots if not robot.watched]
     if few:
         said.append(f"{_some(few)}: fewer than {FEWEST_RUNS} runs, of which none can tell a drift from the season")
     if none:
         said.append(f"{_some(none)}: fewer than two runs that can be compared")
-    wide = {name: value for name, value in found.scatter.items() if value > MUCH_SCATTER}
+    wide = {name: value for name, value in history.scatter.items() if value > MUCH_SCATTER}
     if wide:
         worst = max(wide, key=lambda name: wide[name])
         said.append(
@@ -119,10 +119,10 @@ def _some(names: list[str]) -> str:
     return enumerated(names if len(names) <= 4 else [*names[:3], f"{len(names) - 3} more"])
 
 
-def robot_table(found: History) -> pd.DataFrame:
+def robot_table(history: History) -> pd.DataFrame:
     """A row for each robot, the worst first."""
     rows = []
-    for robot in found.robots:
+    for robot in history.robots:
         channel, final = robot.error("final")
         _, nominal = robot.error("nominal")
         rows.append(
@@ -141,10 +141,10 @@ def robot_table(found: History) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def alarm_table(found: History) -> pd.DataFrame:
+def alarm_table(history: History) -> pd.DataFrame:
     """A row for each alarm: sizes in [m] and [rad], of a drift for a month."""
     rows = []
-    for w in (w for robot in found.robots for w in robot.alarms):
+    for w in (w for robot in history.robots for w in robot.alarms):
         c = w.change
         assert c is not None
         per = MONTH if c.kind == "drift" else 1.0
@@ -168,7 +168,7 @@ def alarm_table(found: History) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=[*columns, "p_value"])
 
 
-def constant_table(found: History) -> pd.DataFrame:
+def constant_table(history: History) -> pd.DataFrame:
     """Every constant of every robot in every run that is compared, [m] and [rad]; ``std`` with the fleet's scatter."""
     parts = [
         pd.DataFrame(
@@ -181,43 +181,45 @@ def constant_table(found: History) -> pd.DataFrame:
                 "unit": w.unit,
             }
         )
-        for robot in found.robots
+        for robot in history.robots
         for w in robot.watched
     ]
     columns = ["robot", "name", "measured", "value", "std", "unit"]
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=columns)
 
 
-def error_table(found: History) -> pd.DataFrame:
+def error_table(history: History) -> pd.DataFrame:
     """Every robot's errors on held-out rows, run by run, in the unit that the channel's name ends in."""
     columns = ["robot", "measured", "stage", "channel", "rms", "p95", "max"]
-    parts = [robot.errors.assign(robot=robot.name) for robot in found.robots]
+    parts = [robot.errors.assign(robot=robot.name) for robot in history.robots]
     return pd.concat(parts, ignore_index=True)[columns]
 
 
-def history_page(found: History, title: str) -> Markup:
+def history_page(history: History, title: str) -> Markup:
     """The page, self-contained.
 
     Args:
-        found: The fleet over time.
+        history: The fleet over time.
         title: What the fleet is called: its folder.
     """
-    alarmed = [robot for robot in found.robots if robot.alarms]
-    one = found.robots[0].name if len(found.robots) == 1 else None
-    heading = f"{one} over time" if one else f"{len(alarmed) or 'No'} of {counted(len(found.robots), 'robot')} changed"
+    alarmed = [robot for robot in history.robots if robot.alarms]
+    one = history.robots[0].name if len(history.robots) == 1 else None
+    heading = (
+        f"{one} over time" if one else f"{len(alarmed) or 'No'} of {counted(len(history.robots), 'robot')} changed"
+    )
     chapters = [
-        ("What changed?", _alarms(found)),
-        ("Every robot, the worst first", _robots(found)),
-        ("How sure is this?", _about(found)),
+        ("What changed?", _alarms(history)),
+        ("Every robot, the worst first", _robots(history)),
+        ("How sure is this?", _about(history)),
     ]
     head = [tag("p", title, class_="about"), tag("h1", heading)]
     parts = sections([(name, drawn(name, content)) for name, content in chapters])
     return framed_page(f"{title}: {heading}", head, parts, f"aridcal {__version__}")
 
 
-def _alarms(found: History) -> Iterator[Content]:
+def _alarms(history: History) -> Iterator[Content]:
     """Alarms with their pictures, then what may be the season."""
-    of = found.robots
+    of = history.robots
     if not any(robot.alarms or robot.cycles for robot in of):
         yield tag("p", "Nothing beyond what the uncertainty explains.")
     said = [[tag("b", robot.name), f": {line}"] for robot in of for line in robot_lines(robot)]
@@ -225,7 +227,7 @@ def _alarms(found: History) -> Iterator[Content]:
         yield bullets(said, 60, "more remarks")
     alarms = [w for robot in of for w in robot.alarms]
     cycles = [w for robot in of for w in robot.cycles]
-    shown = alarms[:PICTURED] + cycles[:PICTURED_CYCLES]
+    shown = alarms[:MOST_PICTURED] + cycles[:MOST_PICTURED_CYCLES]
     if shown:
         yield figures([(_caption(w), _picture(w)) for w in shown])
     if len(shown) < len(alarms) + len(cycles):
@@ -247,10 +249,10 @@ def _picture(w: Watched) -> Markup:
     return timeline(key, alt, series.day, scale * series.value, scale * series.std, f"{w.name} [{unit}]", stretches)
 
 
-def _robots(found: History) -> Iterator[Content]:
+def _robots(history: History) -> Iterator[Content]:
     """A line for each robot."""
     rows: list[list[Content]] = []
-    for robot in found.robots[:LISTED]:
+    for robot in history.robots[:MOST_LISTED]:
         _, final = robot.error("final")
         words = ", ".join(f"{w.name}: {w.change.kind}" for w in robot.alarms if w.change)
         season = f"{_some([w.name for w in robot.cycles])}: perhaps the season" if robot.cycles and not words else ""
@@ -265,14 +267,14 @@ def _robots(found: History) -> Iterator[Content]:
                 sparkline(final, f"RMS error of {robot.name} after calibration, run by run"),
             ]
         )
-    more = f"; {LISTED} of {len(found.robots)}" if len(found.robots) > LISTED else ""
+    more = f"; {MOST_LISTED} of {len(history.robots)}" if len(history.robots) > MOST_LISTED else ""
     titles = ["robot", "changed", "runs", "last run", "RMS before", "RMS after", "RMS after, over time"]
     yield table(titles, rows, f"Errors on held-out rows of the last run, before and after calibration{more}", numbers=2)
 
 
-def _about(found: History) -> Iterator[Content]:
+def _about(history: History) -> Iterator[Content]:
     """What alarms are worth, and how they are made."""
-    yield bullets(about(found))
+    yield bullets(about(history))
     yield tag(
         "p",
         "Constants are compared in one gauge: a robot's runs that told the same constants, of the same nominal URDF. The zero of "
@@ -281,7 +283,7 @@ def _about(found: History) -> Iterator[Content]:
     )
     yield tag(
         "p",
-        f"Read from {counted(len(found.files), 'table')}: ",
-        ", ".join(found.files[:6]),
-        " …" if len(found.files) > 6 else "",
+        f"Read from {counted(len(history.files), 'table')}: ",
+        ", ".join(history.files[:6]),
+        " …" if len(history.files) > 6 else "",
     )

@@ -37,14 +37,14 @@ from aridcal.system.wording import number
 STRETCHES = 3
 """Pictures of the speeds: beginning, middle and end, for what is off at one end only is seen in no single picture."""
 
-EACH = 40.0
+LONGEST_STRETCH = 40.0
 """Seconds that a picture shows at most: a dozen moves."""
 
 POINTS = 1500
-"""Of a line at most: a figure is 600 pixels wide."""
+"""Most points of a line: a figure is 600 pixels wide."""
 
 HEIGHT, LANE = 210.0, 11.0
-"""Of a figure, and of one lane of standstills in it, in units of its `viewBox`."""
+"""Height of a figure, and of one lane of standstills in it, in units of its `viewBox`."""
 
 OFF = "Measured minus nominal at each row, base and target fitted: the robot's errors, no error of this table"
 
@@ -59,26 +59,26 @@ LATE = (
     "steps are a clock that was set, a bow is a clock that warms up."
 )
 
-LISTED = 40
+MOST_LISTED = 40
 """Standstills without a row that the page lists."""
 
 
-def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Markup:
+def merge_page(merged: Merged, names: tuple[str, str], out: Path) -> Markup:
     """The page, self-contained.
 
     Args:
-        found: What came of the logs.
+        merged: What came of the logs.
         names: Of the joints' and of the tracker's log.
         out: The table.
     """
-    middle = found.tracker.log.time[[0, -1]].mean()
+    middle = merged.tracker.log.time[[0, -1]].mean()
     head = [
         tag("p", f"{names[0]} and {names[1]}", class_="about"),
-        tag("h1", f"{len(found.table)} standstills in {out.name}"),
-        bullets(lines(found)),
+        tag("h1", f"{len(merged.table)} standstills in {out.name}"),
+        bullets(lines(merged)),
     ]
     chapters: list[tuple[str, Content]] = [
-        ("What was paired", [tag("p", PAIRED), figures(_stretches(found))]),
+        ("What was paired", [tag("p", PAIRED), figures(_stretches(merged))]),
         (
             "How well the clocks are known",
             [
@@ -87,67 +87,71 @@ def merge_page(found: Merged, names: tuple[str, str], out: Path) -> Markup:
                     [
                         (
                             "What each move says beyond offset and drift",
-                            _late("late", "Residual offset of each move", found),
+                            _late("late", "Residual offset of each move", merged),
                         )
                     ]
                 ),
             ],
         ),
-        ("Rows beside the nominal robot", figures([(OFF, _off("off", OFF, found))])),
-        ("Standstills without a row", _unpaired(found)),
+        ("Rows beside the nominal robot", figures([(OFF, _off("off", OFF, merged))])),
+        ("Standstills without a row", _unpaired(merged)),
     ]
     foot = f"aridcal {__version__} · clocks at {number(float(middle), 6)} s of the tracker's"
     return framed_page(f"{names[0]} and {names[1]} merged", head, sections(chapters), foot)
 
 
-def lines(found: Merged) -> list[str]:
+def lines(merged: Merged) -> list[str]:
     """What was found, for people."""
-    clocks, time = found.clocks, found.tracker.log.time
+    clocks, time = merged.clocks, merged.tracker.log.time
     sigma = 1e3 * float(clocks.std(time[[0, -1]]).max())
     drift, drift_sigma = 1e6 * clocks.drift, 1e6 * float(np.sqrt(clocks.covariance[1, 1]))
-    samples, sign = found.averages.count, "-" if clocks.offset < 0 else "+"
-    made = [
+    samples, sign = merged.averages.count, "-" if clocks.offset < 0 else "+"
+    words = [
         f"joints' clock = tracker's {sign} {abs(clocks.offset):.5f} s at {clocks.middle:.3f} s, drift {drift:.2f} ± "
         f"{drift_sigma:.2g} ppm; known to "
-        f"{sigma:.2g} ms (1 sigma) in the whole log, from {len(found.moves.late)} moves",
-        f"{len(found.table)} rows of {samples.min()} to {samples.max()} samples; scatter of one sample "
-        f"{' '.join(number(1e3 * float(v)) for v in found.averages.usual[:3])} mm in x y z"
+        f"{sigma:.2g} ms (1 sigma) in the whole log, from {len(merged.moves.late)} moves",
+        f"{len(merged.table)} rows of {samples.min()} to {samples.max()} samples; scatter of one sample "
+        f"{' '.join(number(1e3 * float(v)) for v in merged.averages.usual[:3])} mm in x y z"
         + (
-            f", {' '.join(number(1e3 * float(v)) for v in found.averages.usual[3:])} mrad about them"
-            if len(found.averages.usual) > 3
+            f", {' '.join(number(1e3 * float(v)) for v in merged.averages.usual[3:])} mrad about them"
+            if len(merged.averages.usual) > 3
             else ""
         ),
-        f"the nominal robot misses the rows by {1e3 * float(np.median(np.linalg.norm(found.off, axis=1))):.3g} mm (median)",
+        f"the nominal robot misses the rows by {1e3 * float(np.median(np.linalg.norm(merged.off, axis=1))):.3g} mm (median)",
     ]
-    rho = float(found.averages.correlation.max())
+    rho = float(merged.averages.correlation.max())
     if rho > 0.2:
-        made.append(f"neighbouring samples are correlated by up to {rho:.2f}: the standard deviations allow for it")
-    return [*made, *found.tracker.words, *found.notices]
+        words.append(f"neighbouring samples are correlated by up to {rho:.2f}: the standard deviations allow for it")
+    return [*words, *merged.tracker.words, *merged.notices]
 
 
-def _stretches(found: Merged) -> list[tuple[Content, Markup]]:
+def _stretches(merged: Merged) -> list[tuple[Content, Markup]]:
     """Pictures of the speeds."""
-    t = found.clocks.joints(found.tracker.log.time)
-    first, last = max(t[0], found.joints.time[0]), min(t[-1], found.joints.time[-1])
-    each = min(EACH, last - first)
-    count = STRETCHES if last - first > STRETCHES * EACH else max(1, int(np.ceil((last - first) / EACH)))
+    t = merged.clocks.joints(merged.tracker.log.time)
+    first, last = max(t[0], merged.joints.time[0]), min(t[-1], merged.joints.time[-1])
+    each = min(LONGEST_STRETCH, last - first)
+    count = (
+        STRETCHES
+        if last - first > STRETCHES * LONGEST_STRETCH
+        else max(1, int(np.ceil((last - first) / LONGEST_STRETCH)))
+    )
     begins = np.linspace(first, last - each, count)
     return [
         (
             f"{a:.1f} to {a + each:.1f} s",
-            _speeds(f"speeds{k}", "Speeds in both logs over time", found, float(a), float(a + each)),
+            _speeds(f"speeds{k}", "Speeds in both logs over time", merged, float(a), float(a + each)),
         )
         for k, a in enumerate(begins.tolist())
     ]
 
 
 @drawn_or_missing
-def _speeds(key: str, alt: str, found: Merged, begin: float, end: float) -> str:
+def _speeds(key: str, alt: str, merged: Merged, begin: float, end: float) -> str:
     """Speeds over a stretch of time, with the standstills of both and the windows of rows in lanes below."""
-    si, clocks = found.tracker, found.clocks
+    si, clocks = merged.tracker, merged.clocks
     t = clocks.joints(si.log.time)
     curves = [
-        _thinned(found.joints.time, found.tips, begin, end),
+        _thinned(merged.joints.time, merged.tips, begin, end),
         _thinned(t, speeds(si.log, si.position), begin, end),
     ]
     top = max((float(np.nanmax(v)) for _, v in curves if np.isfinite(v).any()), default=1.0)
@@ -160,14 +164,14 @@ def _speeds(key: str, alt: str, found: Merged, begin: float, end: float) -> str:
     left = 2 * LINE + room_for(y, TICKS[1]) - 8
     head, high = legend(entries, left, WIDE)
     area = Area(left, high + 4, WIDE - left - 8, HEIGHT - high - 42, Scale(begin, end), y)
-    made = [head, frame(area, TICKS), beside(area, "speed [m/s]")]
+    parts = [head, frame(area, TICKS), beside(area, "speed [m/s]")]
     inside = [line(area, x, v, color, 1.4) for (x, v), color in zip(curves, (AFTER, BEFORE), strict=True)]
-    made.append(clipped(key, area, "".join(inside)))
-    tracked = found.tracked
+    parts.append(clipped(key, area, "".join(inside)))
+    tracked = merged.tracked
     foot = area.bottom + 18
     lanes = [
-        (found.still.begin, found.still.end, AFTER),
-        (clocks.joints(found.found.begin), clocks.joints(found.found.end), GREY),
+        (merged.still.begin, merged.still.end, AFTER),
+        (clocks.joints(merged.found.begin), clocks.joints(merged.found.end), GREY),
         (clocks.joints(tracked.begin), clocks.joints(tracked.end), BEFORE),
     ]
     for k, (a, b, color) in enumerate(lanes):
@@ -175,10 +179,10 @@ def _speeds(key: str, alt: str, found: Merged, begin: float, end: float) -> str:
         some = (b > begin) & (a < end)
         u, v = area.across(np.clip(a[some], begin, end)), area.across(np.clip(b[some], begin, end))
         d = "".join(f"M{p:.1f} {height:.1f}H{q:.1f}" for p, q in zip(u, v, strict=True))
-        made.append(path(d, stroke=color, stroke_width=6))
-    made.append(text(area.left - 6, foot + LANE + 3, "still", "end"))
-    made.append(text(area.left + area.width / 2, foot + 3 * LANE + 6, "joints' clock [s]", "middle"))
-    return whole(alt, WIDE, foot + 3 * LANE + 12, made, "plot wide")
+        parts.append(path(d, stroke=color, stroke_width=6))
+    parts.append(text(area.left - 6, foot + LANE + 3, "still", "end"))
+    parts.append(text(area.left + area.width / 2, foot + 3 * LANE + 6, "joints' clock [s]", "middle"))
+    return whole(alt, WIDE, foot + 3 * LANE + 12, parts, "plot wide")
 
 
 def _thinned(t: np.ndarray, v: np.ndarray, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
@@ -203,23 +207,23 @@ def _points(key: str, alt: str, x: np.ndarray, y: np.ndarray, label: str, zero: 
 
 
 @drawn_or_missing
-def _late(key: str, alt: str, found: Merged) -> str:
+def _late(key: str, alt: str, merged: Merged) -> str:
     """What each move says of the clocks beyond offset and drift."""
-    return _points(key, alt, found.clocks.joints(found.moves.time), 1e3 * found.moves.late, "late [ms]", True)
+    return _points(key, alt, merged.clocks.joints(merged.moves.time), 1e3 * merged.moves.late, "late [ms]", True)
 
 
 @drawn_or_missing
-def _off(key: str, alt: str, found: Merged) -> str:
+def _off(key: str, alt: str, merged: Merged) -> str:
     """Distance from the nominal robot at each row."""
     return _points(
-        key, alt, found.table["time"].to_numpy(), 1e3 * np.linalg.norm(found.off, axis=1), "distance [mm]", False
+        key, alt, merged.table["time"].to_numpy(), 1e3 * np.linalg.norm(merged.off, axis=1), "distance [mm]", False
     )
 
 
-def _unpaired(found: Merged) -> Content:
+def _unpaired(merged: Merged) -> Content:
     """A table of what makes no row."""
-    if not found.unpaired:
+    if not merged.unpaired:
         return tag("p", "None: every standstill of each log is one of the other.")
-    rows = [[one.log, f"{one.begin:.3f}", f"{one.end:.3f}", one.why] for one in found.unpaired[:LISTED]]
-    more = "" if len(found.unpaired) <= LISTED else f"; the first {LISTED} of {len(found.unpaired)}"
+    rows = [[one.log, f"{one.begin:.3f}", f"{one.end:.3f}", one.why] for one in merged.unpaired[:MOST_LISTED]]
+    more = "" if len(merged.unpaired) <= MOST_LISTED else f"; the first {MOST_LISTED} of {len(merged.unpaired)}"
     return table(["log", "from [s]", "to [s]", "why"], rows, f"By each log's own clock{more}", numbers=4)

@@ -16,7 +16,7 @@ from aridcal.jobs.plan.pose_design import Plan
 from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import coverage, falling
 from aridcal.pages.drawing.frame import framed_page, sections
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.system.wording import counted, number, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}
@@ -31,10 +31,10 @@ INDICES = (
 )
 """Observability indices as Sun and Hollerbach (2008) number them."""
 
-TELLING = 2.0
+LEAST_TIMES_USUAL_LOSS = 2.0
 """A configuration that matters to a suspect so many times as much as the mean one is named for it."""
 
-NAMED = 3
+MOST_NAMED = 3
 """Suspects named for one configuration, those first to which it matters most."""
 
 
@@ -120,16 +120,16 @@ def worth(now: Sigma, more: Sigma, measured: int) -> str:
 
 def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
     """Targets in two views, and ranges of the joints."""
-    seen = plan.coverage
-    sigma = 1e3 * seen.worst
+    region = plan.coverage
+    sigma = 1e3 * region.worst
     colors = color_steps(sigma)
     drawn: list[tuple[Content, Markup]] = []
     for name, axes in VIEWS.items():
         labels = tuple(f"{'xyz'[axis]} [m]" for axis in axes)
-        rings = {"planned": seen.targets[:, axes]}
+        rings = {"planned": region.targets[:, axes]}
         text = f"Planned targets and the region's sigma, seen {name}"
         picture = field(
-            name.replace(" ", "-"), text, seen.places[:, axes], sigma, (labels[0], labels[1]), "mm", colors, marks=rings
+            name.replace(" ", "-"), text, region.places[:, axes], sigma, (labels[0], labels[1]), "mm", colors, marks=rings
         )  # fmt: skip
         drawn.append((f"Seen {name}: dots are places of the region with their σ in the worst direction", picture))
     ranges = [joint_range(*j) for j in zip(robot.readings, robot.kinds, robot.limits, plan.readings.T, strict=True)]
@@ -142,7 +142,8 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
         [j.name, range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind), f"{100 * j.measured:.0f} %"]
         for j in ranges
     ]
-    yield table(["joint", "limits", "planned", "share covered, of a turn at most"], rows, "Ranges of the joints")
+    head = ["joint", "limits", "planned", "share covered, of a turn at most"]
+    yield fold("Planned range of each joint", table(head, rows, "Ranges of the joints"))
 
 
 def _telling(plan: Plan) -> Iterator[Content]:
@@ -151,14 +152,17 @@ def _telling(plan: Plan) -> Iterator[Content]:
     caption = (
         "Observability indices of frames and constants, in σ per m and rad (Sun and Hollerbach 2008); larger is better"
     )
-    yield table(["index", "what it is", "value"], rows, caption, numbers=2)
-    seen = plan.coverage
-    if not seen.suspects:
-        yield tag("p", "No effect beyond constants was planned for; those that `effects` of the campaign declares are.")
+    shown = table(["index", "what it is", "value"], rows, caption, numbers=2)
+    yield fold(f"Observability indices: O1 {number(plan.indices[0])}", shown)
+    coverage = plan.coverage
+    if not coverage.suspects:
+        yield tag(
+            "p", "No effect beyond constants was planned for: declare some under ", tag("code", "effects"), " first."
+        )
         return
     lines: list[list[Content]] = []
-    for name, loss in zip(seen.suspects, seen.loss.T, strict=True):
-        best = np.argsort(-loss, kind="stable")[:NAMED]
+    for name, loss in zip(coverage.suspects, coverage.loss.T, strict=True):
+        best = np.argsort(-loss, kind="stable")[:MOST_NAMED]
         words = ", ".join(f"{k + 1} ({_percent(loss[k])})" for k in best.tolist())
         lines.append([name, words])
     caption = (
@@ -178,13 +182,15 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         *(["by way of"] if plan.directions else []),
         "tells most of",
     ]
-    seen, lines = plan.coverage, []
-    usual = seen.loss.mean(axis=0)
+    coverage, lines = plan.coverage, []
+    usual = coverage.loss.mean(axis=0)
     for k, reading in enumerate(plan.readings):
         joints = [reading_in_words(v, kind) for v, kind in zip(reading.tolist(), robot.kinds, strict=True)]
-        loss = seen.loss[k]
-        telling = [i for i in np.argsort(-loss, kind="stable")[:NAMED] if loss[i] > TELLING * usual[i]]
-        words = ", ".join(f"{seen.suspects[i]} ({_percent(loss[i])})" for i in telling)
+        loss = coverage.loss[k]
+        telling = [
+            i for i in np.argsort(-loss, kind="stable")[:MOST_NAMED] if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
+        ]
+        words = ", ".join(f"{coverage.suspects[i]} ({_percent(loss[i])})" for i in telling)
         way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []
         lines.append([str(k + 1), *joints, *([titles[k]] if titles else []), *way, words or "the geometry"])
     yield table(head, lines, "In the order of the visits", numbers=len(head))

@@ -27,7 +27,7 @@ MOST_ROWS = 40
 
 
 def write_repair_report(
-    made: RepairOutcomes,
+    repair: RepairOutcomes,
     checked: Checked,
     mended: Repaired,
     lineage: dict[str, Any],
@@ -38,7 +38,7 @@ def write_repair_report(
     """Write the page of a repair.
 
     Args:
-        made: The repaired calibration as outcomes.
+        repair: The repaired calibration as outcomes.
         checked: What the new rows said.
         mended: What was done.
         lineage: Where the calibration comes from.
@@ -52,7 +52,7 @@ def write_repair_report(
     with noting() as notices:
         text = attempt(
             "report.html",
-            lambda: _page(made, checked, mended, lineage, lines, handover),
+            lambda: _page(repair, checked, mended, lineage, lines, handover),
             lambda notice: empty_page("Repair report", notice),
         )
     path.write_bytes(text.encode("utf-8", "replace"))
@@ -60,7 +60,7 @@ def write_repair_report(
 
 
 def _page(
-    made: RepairOutcomes,
+    repair: RepairOutcomes,
     checked: Checked,
     mended: Repaired,
     lineage: dict[str, Any],
@@ -70,30 +70,30 @@ def _page(
     """The whole page; each of its sections fails alone."""
     chapters = [
         ("moved", "1. What moved?", _moved(mended, lines)),
-        ("rows", "2. Do the new rows fit now?", _rows(made)),
-        ("parameters", "3. What is the calibration now?", identified(made.model)),
-        ("use", "4. How to use the result", _use(made, handover)),
+        ("rows", "2. Do the new rows fit now?", _rows(repair)),
+        ("parameters", "3. What is the calibration now?", identified(repair.model)),
+        ("use", "4. How to use the result", _use(repair, handover)),
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]
-    m = made.rows.measurements
-    head = drawn("Summary", _summary(made, checked, mended))
+    m = repair.rows.measurements
+    head = drawn("Summary", _summary(repair, checked, mended))
     parts = [Section(title, drawn(title, content), key) for key, title, content in chapters]
-    return framed_page(f"Repair of {made.rows.robot.tree.name}", head, parts, foot(m))
+    return framed_page(f"Repair of {repair.rows.robot.tree.name}", head, parts, foot(m))
 
 
-def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
+def _summary(repair: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
     """The first screen: how far off before, how far now, and what moved."""
-    m, robot = made.rows.measurements, made.rows.robot
+    m, robot = repair.rows.measurements, repair.rows.robot
     names = ", ".join(path.name for path in m.origin.files)
     yield tag("h1", f"Repair of {robot.tree.name}")
     yield tag("p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
-    seen = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
-    yield tag("div", [_card(made, k) for k in seen], class_="cards")
+    channels = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
+    yield tag("div", [_card(repair, k) for k in channels], class_="cards")
     moved = [change.cause.words for change in mended.changes]
     fitted = [f"{words}: fitted to the new rows; all else is kept as well as it was known." for words in moved]
-    left = "agrees with the noise" if made.rows.verdict.word == "noise_floor" else "is more than the noise"
+    rest = "agrees with the noise" if repair.rows.verdict.word == "noise_floor" else "is more than the noise"
     trust = [
-        f"What remains {left} ({checked.rest.words}).",
+        f"What remains {rest} ({checked.rest.words}).",
         "“Left out” is the error of rows that what moved was not fitted to: the figure to expect of the next row.",
         "What moved was named with all of the rows: a few more, in other attitudes, are a test that is free of that.",
     ]
@@ -105,14 +105,14 @@ def _summary(made: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterat
     )
 
 
-def _card(made: RepairOutcomes, k: int) -> Markup:
+def _card(repair: RepairOutcomes, k: int) -> Markup:
     """Before, after and left out of one channel in large figures."""
-    m = made.rows.measurements
-    channel, noise = m.channels[k], float(made.rows.noise[k])
-    every = ~made.rows.outlier
+    m = repair.rows.measurements
+    channel, noise = m.channels[k], float(repair.rows.noise[k])
+    every = ~repair.rows.outlier
     before, after, left = (
         errors(residual, every, m.channels)[channel.key]["rms"]
-        for residual in (made.rows.stage("before").residual, made.rows.stage("final").residual, made.left_out)
+        for residual in (repair.rows.stage("before").residual, repair.rows.stage("final").residual, repair.left_out)
     )
     unit = channel.shown
     per_axis = f" per number; {channel.size} numbers a row" if channel.size > 1 else ""
@@ -141,23 +141,25 @@ def _changes(change: Change) -> Iterator[list[Content]]:
         yield [tag("code", name), f"{plus_minus(scale * value, scale * std)} {shown}", sure]
 
 
-def _rows(made: RepairOutcomes) -> Iterator[Content]:
+def _rows(repair: RepairOutcomes) -> Iterator[Content]:
     """Errors of each new row: before, after, and left out."""
-    m, last = made.rows.measurements, made.rows.stage("final").residual
-    columns = [norms(residual, m.channels) for residual in (made.rows.stage("before").residual, last, made.left_out)]
-    seen = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
-    order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][seen[0]]))[:MOST_ROWS]
+    m, last = repair.rows.measurements, repair.rows.stage("final").residual
+    columns = [
+        norms(residual, m.channels) for residual in (repair.rows.stage("before").residual, last, repair.left_out)
+    ]
+    channels = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
+    order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][channels[0]]))[:MOST_ROWS]
     lines: list[list[Content]] = []
     for row in order.tolist():
-        own = [k for k in seen if m.measures[row, k]]
-        part = "odd, not used" if made.rows.outlier[row] else "held out" if m.test[row] else "used"
+        own = [k for k in channels if m.measures[row, k]]
+        part = "odd, not used" if repair.rows.outlier[row] else "held out" if m.test[row] else "used"
         cells = [", ".join(_shown(c[k][row], m.channels[k]) for k in own) for c in columns]
         lines.append([f"{m.origin.files[m.origin.file[row]].name}, row {m.origin.line[row]}", part, *cells])
     which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
 
 
-def _use(made: RepairOutcomes, handover: Handover) -> Iterator[Content]:
+def _use(repair: RepairOutcomes, handover: Handover) -> Iterator[Content]:
     """Which file is for what, and what each export loses."""
     yield tag(
         "p",
@@ -166,7 +168,7 @@ def _use(made: RepairOutcomes, handover: Handover) -> Iterator[Content]:
         tag("code", "model.urdf"),
         ", it is valid only together with the effects in calibration.yaml.",
     )
-    yield from use(made.model, handover)
+    yield from use(repair.model, handover)
 
 
 def _shown(value: float, channel: Channel) -> str:

@@ -91,15 +91,15 @@ def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
 
 def _again(rows: Sequence[Row]) -> Iterator[Content]:
     """Effects of the halves."""
-    found = found_again(rows)
-    if not found:
+    shares = found_again(rows)
+    if not shares:
         yield tag("p", "No half of the rows shows an effect beyond the constants.")
         return
     yield tag(
         "p",
         "Half of the rows show less than all of them: an effect that most halves find does not hang on single rows.",
     )
-    lines = [[label, _share(estimate)] for label, estimate in found]
+    lines = [[label, _share(estimate)] for label, estimate in shares]
     yield table(["effect", "of the runs"], lines, f"Effects that were found, with the {INTERVAL} of each share")
 
 

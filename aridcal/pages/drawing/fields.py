@@ -37,7 +37,7 @@ colour."""
 # Along the longer side of a field.
 SQUARES = 36
 
-FLAT, STEEP = 0.35, 1.1
+LEAST_HEIGHT, LARGEST_HEIGHT = 0.35, 1.1
 """Least and largest height of a plane's picture, in its widths."""
 
 
@@ -113,7 +113,7 @@ def _plane(
     top = high + 2 * LINE + 6
     left = 2 * LINE + room_for(y, TICKS[1]) - 8
     width = WIDTH - left - EDGES[1]
-    height = width * float(np.clip(spans[1] / spans[0], FLAT, STEEP))
+    height = width * float(np.clip(spans[1] / spans[0], LEAST_HEIGHT, LARGEST_HEIGHT))
     unit_length = max(spans[0] / width, spans[1] / height)  # of values, for one of length
     middle = [0.5 * (end.low + end.high) for end in (x, y)]
     half = [0.5 * unit_length * length for length in (width, height)]

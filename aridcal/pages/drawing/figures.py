@@ -41,7 +41,7 @@ P = ParamSpec("P")
 BEFORE, AFTER = "#D55E00", "#0072B2"  # Okabe and Ito's
 
 COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
-"""Of several curves: theirs, too; of more curves the first ones are drawn."""
+"""Colours of several curves in one figure, in their order; of more curves the first ones are drawn."""
 
 # At most so many points are drawn in one cloud.
 POINTS = 500
@@ -50,7 +50,7 @@ POINTS = 500
 WIDTH, WIDE, HEIGHT = 310.0, 634.0, 195.0
 
 TICKS = (6, 6)
-"""Along x and y at most."""
+"""Most ticks along x and y."""
 
 EDGES = (34.0, 8.0)
 """Room below an area, for ticks and their label, and at its right."""

@@ -24,7 +24,7 @@ VOID = frozenset({"meta", "br"})
 ON_A_PHONE, HALF_A_PHONE = 46, 20
 """Letters of a table side by side on a phone, 390 px wide, and of a number with its title in half of that width."""
 
-BETWEEN = 2
+COLUMN_GAP = 2
 """Letters that the white between two columns takes."""
 
 ONE_LINE = 14
@@ -32,7 +32,7 @@ ONE_LINE = 14
 
 T = TypeVar("T")
 
-LONGEST = 300
+LONGEST_REASON = 300
 """Letters of a notice's reason: readers of files quote what they choke on, and names have no limit."""
 
 _missing: ContextVar[list[str] | None] = ContextVar("missing", default=None)
@@ -87,7 +87,7 @@ def table(head: Sequence[Content], rows: Iterable[Sequence[Content]], caption: C
     shown = [[cell.striptags() for cell in row] for row in lines]
     names = [join(title).striptags() for title in head]
     columns = [[name, *(row[k] for row in shown)] for k, name in enumerate(names)]
-    stacked = sum(_letters(column, k >= numbers) + BETWEEN for k, column in enumerate(columns)) > ON_A_PHONE
+    stacked = sum(_letters(column, k >= numbers) + COLUMN_GAP for k, column in enumerate(columns)) > ON_A_PHONE
 
     widest = [len(name) + max(map(len, others), default=0) for name, *others in columns[max(numbers, 1) :]]
     pairs = stacked and len(widest) > 1 and max(widest) <= HALF_A_PHONE
@@ -129,14 +129,25 @@ def _letters(column: Sequence[str], numbers: bool) -> int:
     )
 
 
-def figures(drawn: Iterable[tuple[Content, Markup]]) -> Markup:
+def figures(drawn: Iterable[tuple[Content, Markup]], class_: str = "figures") -> Markup:
     """Figures side by side where there is room.
 
     Args:
         drawn: The caption and the picture of each.
+        class_: ``figures three`` for three in a row on a wide screen, else two.
     """
-    made = [tag("figure", tag("figcaption", caption), picture) for caption, picture in drawn]
-    return tag("div", made, class_="figures")
+    pictures = [tag("figure", tag("figcaption", caption), picture) for caption, picture in drawn]
+    return tag("div", pictures, class_=class_)
+
+
+def fold(title: Content, *content: Content) -> Markup:
+    """Content behind its title, shown by a click, and on paper.
+
+    Args:
+        title: What stays in sight, with the figure that matters most.
+        content: The rest.
+    """
+    return tag("details", tag("summary", title), content)
 
 
 def bullets(items: Iterable[Content], most: int | None = None, what: str = "more") -> Markup:
@@ -208,4 +219,4 @@ def reason(error: Exception) -> str:
 
 def one_line(text: str) -> str:
     """Text without control characters, its beginning if it is long."""
-    return shortened(printable(text), LONGEST)
+    return shortened(printable(text), LONGEST_REASON)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 POINTS_PER_MM = 72 / 25.4
 
 WIDTH, HEIGHT, MARGIN = 210.0, 297.0, 15.0
-"""Of the page and its white edge, [mm]; printers reach all but 5 mm."""
+"""Size of the page and its white edge, [mm]; printers reach all but 5 mm."""
 
 TEXT, TITLE, FIGURE, HEADING = 8.5, 15.0, 12.0, 9.5
 """Sizes of letters before they are made smaller, [pt]: of text, of the title, of figures and verdict, of headings."""
@@ -32,7 +32,7 @@ SMALLER = 0.97
 """Step by which everything is made smaller until it fits."""
 
 SMALLEST = 0.3
-"""Of that scale: below it no eye reads; what a campaign may state fits on the page long before."""
+"""Least scale: below it no eye reads; what a campaign may state fits on the page long before."""
 
 LABELS, NAMES = 0.21, 0.3
 """Shares of the width that the names of facts take, and those of the headline."""

@@ -13,7 +13,7 @@ from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.joint_zeros import JointZero, zero_of
 from aridcal.system.wording import number, plus_minus
 
-ALIKE = 0.7
+LEAST_RATIO_OF_EQUALS = 0.7
 """Ratio of two shares from which they are a sum or a difference in words: sin 45 degrees over 1."""
 
 OF_TIME = {
@@ -33,9 +33,9 @@ def division_in_words(of: str, how: str) -> str:
     return f"{how} {of}" if how == "low and high" else f"{how} of {of}"
 
 
-def p_of_halves(found: Halves) -> str:
+def p_of_halves(halves: Halves) -> str:
     """Their p-value: ``p = 0.43``, ``p = 3.2e-12``."""
-    return f"p = {number(found.p_value, 2)}"
+    return f"p = {number(halves.p_value, 2)}"
 
 
 def constant_in_words(name: str, robot: Robot) -> str:
@@ -65,7 +65,7 @@ def combination_in_words(of: Combination, robot: Robot) -> str:
     shares = np.array([share for _, share in of.parts]) / of.parts[0][1]
     if len(names) == 1:
         return f"{names[0]} alone"
-    if len(names) == 2 and abs(shares[1]) > ALIKE:
+    if len(names) == 2 and abs(shares[1]) > LEAST_RATIO_OF_EQUALS:
         return f"the {'sum' if shares[1] > 0 else 'difference'} of {names[0]} and {names[1]}"
     rest = [
         f"{'+' if s > 0 else '−'} {number(abs(float(s)), 2)} {n}" for n, s in zip(names[1:], shares[1:], strict=True)
@@ -78,9 +78,9 @@ def pair_in_words(of: Pair, robot: Robot) -> str:
     first, second = constant_in_words(of.first, robot), constant_in_words(of.second, robot)
     unit = "mrad" if of.unit == "rad" else "mm"
     better = of.of_sum < of.of_difference
-    known, other = sorted((1e3 * of.of_sum, 1e3 * of.of_difference))
+    smaller, larger = sorted((1e3 * of.of_sum, 1e3 * of.of_difference))
     which, rest = ("sum", "difference") if better else ("difference", "sum")
     return (
         f"The {which} of {first} and {second} is known {number(of.ratio, 2)} times better than their {rest}: "
-        f"± {number(known, 2)} {unit} against ± {number(other, 2)} {unit}."
+        f"± {number(smaller, 2)} {unit} against ± {number(larger, 2)} {unit}."
     )

@@ -30,17 +30,19 @@ def error_table(result: Document) -> pd.DataFrame:
         Statistics of each model (``nominal``, ``geometric``, ``final``) on each part of the rows (``train``, ``test``,
         ``test_all``); indexed by both.
     """
-    found = {(model, part): e for model, parts in result["error"].items() for part, e in parts.items()}
-    index = pd.MultiIndex.from_tuples(found, names=["model", "rows"])
-    return _statistics(found.values(), index)
+    scores = {(model, part): e for model, parts in result["error"].items() for part, e in parts.items()}
+    index = pd.MultiIndex.from_tuples(scores, names=["model", "rows"])
+    return _statistics(scores.values(), index)
 
 
-def verification_table(found: Verification) -> pd.DataFrame:
+def verification_table(verification: Verification) -> pd.DataFrame:
     """Errors on another day's rows, [mm] and [mrad], gross outliers left out: of each model, and ``realigned``."""
-    residuals = dict(found.residuals)
-    if found.realigned is not None:
-        residuals["realigned"] = found.realigned
-    scored = [errors(residual, ~found.outlier, found.measurements.channels) for residual in residuals.values()]
+    residuals = dict(verification.residuals)
+    if verification.realigned is not None:
+        residuals["realigned"] = verification.realigned
+    scored = [
+        errors(residual, ~verification.outlier, verification.measurements.channels) for residual in residuals.values()
+    ]
     return _statistics(scored, pd.Index(residuals, name="model"))
 
 
@@ -62,9 +64,9 @@ def effect_table(result: Document) -> pd.DataFrame:
 
 def influence_table(result: Document) -> pd.DataFrame:
     """Rows of a ``result.json`` without which the predicted target moves most; ``deciding``: by more than 1 sigma."""
-    found = result.get("influence", {"deciding": 0, "rows": []})
-    table = pd.DataFrame(found["rows"], columns=["file", "row", "shift_mm", "leverage", "cook"])
-    table["deciding"] = [k < found["deciding"] for k in range(len(table))]
+    influence = result.get("influence", {"deciding": 0, "rows": []})
+    table = pd.DataFrame(influence["rows"], columns=["file", "row", "shift_mm", "leverage", "cook"])
+    table["deciding"] = [k < influence["deciding"] for k in range(len(table))]
     return table.set_index(["file", "row"])
 
 
@@ -73,9 +75,9 @@ def combination_table(result: Document) -> pd.DataFrame:
 
     A metre counts as a radian; shares too small to be named are 0.
     """
-    known = result.get("known", {"combinations": [], "minimal_set": []})
-    table = pd.DataFrame([c["parts"] for c in known["combinations"]], columns=known["minimal_set"], dtype=float)
-    return table.fillna(0.0).assign(std=[c["std"] for c in known["combinations"]])
+    constants = result.get("known", {"combinations": [], "minimal_set": []})
+    table = pd.DataFrame([c["parts"] for c in constants["combinations"]], columns=constants["minimal_set"], dtype=float)
+    return table.fillna(0.0).assign(std=[c["std"] for c in constants["combinations"]])
 
 
 def parameter_table(result: Document) -> pd.DataFrame:
@@ -121,10 +123,10 @@ def region_table(index: Document) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("region")
 
 
-def _statistics(found: Iterable[Mapping[str, Mapping[str, float]]], index: pd.Index) -> pd.DataFrame:
+def _statistics(scores: Iterable[Mapping[str, Mapping[str, float]]], index: pd.Index) -> pd.DataFrame:
     """Error statistics as a table: ``{"position_mm": {"rms": 0.1}}`` gives the column ``position_rms_mm``."""
     rows = []
-    for quantities in found:
+    for quantities in scores:
         row = {}
         for name, values in quantities.items():
             quantity, _, unit = name.rpartition("_")

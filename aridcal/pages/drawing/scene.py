@@ -46,7 +46,7 @@ LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
 
 # Percentiles of the errors: the needles' length is set by large ones, the colours reach from the best to nearly the
 # worst.
-USUAL, MOST, BEST = 90, 98, 5
+PERCENTILE_OF_NEEDLES, WORST_PERCENTILE, BEST_PERCENTILE = 90, 98, 5
 
 # Ratios of the colour scale's ends, at least and at most.
 NARROWEST, WIDEST = 3.0, 1000.0
@@ -62,7 +62,7 @@ RADIANS_PER_SPAN = 4.0
 
 
 # [m] and without unit: a link whose frame moves less stands where it did.
-SAME = 1e-12
+LEAST_MOTION = 1e-12
 
 # Bits of a row's flags, as ``scene.js`` reads them.
 TEST, OUTLIER, SCORED = 1, 2, 4
@@ -174,7 +174,7 @@ def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
             {"name": name, "colour": colour} for name, colour in zip(limb_names(scene.nominal), LIMBS, strict=False)
         ],
         "limb": [limb_of(scene.nominal, scene.nominal.tree.names[joint]) for joint in joints],
-        "corrected": [bool(moves > SAME) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
+        "corrected": [bool(moves > LEAST_MOTION) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
         "poses": [packed(position_quaternion(T)) for T in (nominal, calibrated)],
         "rows": rows.tolist(),
         "line": (np.arange(1, n + 1) if scene.line is None else scene.line).tolist(),
@@ -257,8 +257,8 @@ def _homogeneous(R: np.ndarray) -> np.ndarray:
 
 def _colour_range(distances: list[np.ndarray]) -> list[float]:
     """Ends of the (logarithmic) colour scale in [mm], the same for every stage, from the stages' errors, (N,) each, [m]."""
-    high = 1e3 * max(float(np.percentile(d, MOST)) for d in distances)
-    low = 1e3 * float(np.percentile(distances[-1], BEST))
+    high = 1e3 * max(float(np.percentile(d, WORST_PERCENTILE)) for d in distances)
+    low = 1e3 * float(np.percentile(distances[-1], BEST_PERCENTILE))
     high = max(high, 1e-6)
     return [float(np.clip(low, high / WIDEST, high / NARROWEST)), high]
 
@@ -269,7 +269,7 @@ def _magnification(before: np.ndarray, after: np.ndarray, extent: float) -> int:
     Before should not be too large and after not too small to be seen: their geometric mean gets the length ``NEEDLES``, unless
     that makes those before longer than ``LONGEST_NEEDLE``.
     """
-    large_before, large_after = (max(float(np.percentile(d, USUAL)), 1e-9) for d in (before, after))
+    large_before, large_after = (max(float(np.percentile(d, PERCENTILE_OF_NEEDLES)), 1e-9) for d in (before, after))
     middle = np.sqrt(large_before * large_after)
     wanted = extent * min(NEEDLES / middle, LONGEST_NEEDLE / large_before)
     return _nearest_rung(wanted)
@@ -288,7 +288,7 @@ def _ghost_magnification(nominal: np.ndarray, calibrated: np.ndarray) -> int:
     trace = np.einsum("nbij,nbij->nb", nominal[..., :3, :3], calibrated[..., :3, :3])
     turned = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     apart = moved / max(span, 1e-6) + turned / RADIANS_PER_SPAN
-    large = max(float(np.percentile(apart.max(axis=1), USUAL)), 1e-9)
+    large = max(float(np.percentile(apart.max(axis=1), PERCENTILE_OF_NEEDLES)), 1e-9)
     return _nearest_rung(GHOST / large)
 
 
@@ -351,10 +351,10 @@ def _geometry(shape: Shape) -> dict[str, Any]:
 
 def _page(content: dict[str, Any], script: str) -> str:
     """The whole page: everything inlined, nothing fetched."""
-    found = importlib.util.find_spec("meshcat")
-    assert found is not None
-    assert found.origin is not None
-    bundle = Path(found.origin).parent / "viewer" / "dist"
+    package = importlib.util.find_spec("meshcat")
+    assert package is not None
+    assert package.origin is not None
+    bundle = Path(package.origin).parent / "viewer" / "dist"
     text = json.dumps(content, allow_nan=False, separators=(",", ":"))
     data = text.replace("<", "\\u003c")  # no name of a user's can end the script
     return filled(
@@ -393,7 +393,7 @@ def scene(outcome: Outcome) -> Scene:
         measured = (outcome.at_target.places + shifts["final"])[rows]
     parts = outcome.parts()
     scored = parts["test"] if parts["test"].any() else ~outcome.outlier
-    told = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
+    reach = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
     return Scene(
         nominal=robot,
         calibrated=calibrated,
@@ -406,8 +406,8 @@ def scene(outcome: Outcome) -> Scene:
         line=m.origin.line[rows],
         gravity=np.atleast_2d(fit.model.around.gravity)[0],
         moved={e.effect.label: e.adds[rows] for e in outcome.effects if e.adds is not None},
-        places=np.zeros((0, 3)) if told is None else told.places,
-        sigma=np.zeros(0) if told is None else told.sigma,
+        places=np.zeros((0, 3)) if reach is None else reach.places,
+        sigma=np.zeros(0) if reach is None else reach.sigma,
         rms_mm={name: _rms_mm(shift[scored]) for name, shift in shifts.items()},
         left_out=left_out,
     )

@@ -16,10 +16,10 @@ MARGIN = 0.02
 """Share of the time beside the first and the last value."""
 
 SPARK_WIDTH, SPARK_HEIGHT = 120.0, 24.0
-"""Of a line in a cell of a table."""
+"""Width and height of a line in a cell of a table, in units of its `viewBox`."""
 
 MOST_MONTHS = 5
-"""That are named below a figure."""
+"""Most months that are named below a figure."""
 
 LEAST_MARKED = 2.0
 """How wide a stretch of time is drawn at the least."""

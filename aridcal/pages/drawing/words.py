@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
-from aridcal.engine.instruments.channels import Channels
+from aridcal.engine.instruments.channels import INCLINATION, Channels
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause
@@ -17,6 +17,7 @@ from aridcal.engine.search.noise_shapes import Shape
 from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, Kept
 from aridcal.files.purposes import About
+from aridcal.jobs.calibrate.controllers import Handover
 from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.system.errors import printable, shortened
@@ -24,10 +25,10 @@ from aridcal.system.wording import SHOWN_UNIT, enumerated, fixed, number, plus_m
 
 # Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
 # one is its own.
-TOGETHER = 0.8
+LEAST_CORRELATION_SAID = 0.8
 
 # Share of the position's variance from which readings are most of what scatters.
-MOST = 0.5
+MAIN_SHARE = 0.5
 
 # Measured columns: what they are, and how to change one while all else stays the same.
 COLUMNS = {
@@ -76,8 +77,8 @@ def _date_of_files(m: Dataset) -> str:
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``; nothing of those with NaN."""
-    told = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not (c.inner or math.isnan(s))]
-    shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in told]
+    sigmas = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not (c.inner or math.isnan(s))]
+    shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in sigmas]
     return enumerated(shown)
 
 
@@ -90,8 +91,8 @@ NOT_FOR_A_CONTROLLER = (
 
 def noise_unknown_in_words(outcome: Outcome) -> str:
     """That nothing is left which these rows can show, where nobody knows the instrument's noise."""
-    left = noise_in_words(outcome, outcome.stage("final").fit.estimated)
-    return f"nothing repeatable is left that these rows can show; whether {left} is the instrument's noise, nobody has said"
+    scatter = noise_in_words(outcome, outcome.stage("final").fit.estimated)
+    return f"nothing repeatable is left that these rows can show; whether {scatter} is the instrument's noise, nobody has said"
 
 
 def noise_in_words(outcome: Outcome, sigma: np.ndarray) -> str:
@@ -132,17 +133,35 @@ def per_number(outcome: Outcome) -> str:
 def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     """How well the scale is known, where no instrument measures lengths itself; empty where one does."""
     m = outcome.measurements
-    known = known_scale(m)
-    if known is None:
+    sigma = known_scale(m)
+    if sigma is None:
         return ("scale: none of these rows measures a length or a place; the arm's lengths stay nominal",)
-    if np.isinf(known):
+    if np.isinf(sigma):
         consistent = "scale: unknown, for no length is: this is consistency, not accuracy"
         return (f"{consistent}. A known distance between two points or markers gives it",)
-    if known == 0.0:
+    if sigma == 0.0:
         return ()
-    found = scale_std(outcome.stages[-1].fit, m.fitted)
-    rows = "" if found is None else f" ± {number(1e3 * found, 2)} mm per m of reach;"
-    return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * known, 2)} mm per m",)
+    sigma_of_reach = scale_std(outcome.stages[-1].fit, m.fitted)
+    rows = "" if sigma_of_reach is None else f" ± {number(1e3 * sigma_of_reach, 2)} mm per m of reach;"
+    return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * sigma, 2)} mm per m",)
+
+
+def next_command(outcome: Outcome, handover: Handover, folder: str) -> str:
+    """The command that corrects a program by a result; empty where that helps no controller.
+
+    It helps none where data are few, the model is no better than the nominal one, or no place was measured.
+
+    Args:
+        outcome: The calibration.
+        handover: What controllers can be given of it.
+        folder: Where the result is.
+    """
+    nominal, *_, full = (export.error for export in handover.exports)
+    if not outcome.verdict.for_controller or not full < nominal or handover.channel.name == INCLINATION.name:
+        return ""
+    ending = "nc" if set(outcome.robot.kinds) == {"prismatic"} else "script"
+    limb = f" --of {outcome.robot.tip}" if outcome.robot.others else ""
+    return f"aridcal compensate {folder} program.{ending} -o corrected.{ending}{limb}"
 
 
 def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
@@ -152,33 +171,33 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
         outcome: What was found.
         asked: Of what a tolerance was given for; else of the rest.
     """
-    known = outcome.certainty
-    parts = () if known is None else known.kept
+    certainty = outcome.certainty
+    parts = () if certainty is None else certainty.kept
     of_these = [part for part in parts if asked == (part.tolerance is not None)]
     if asked and not outcome.verdict.for_controller:
         return [
             (False, f"{part.of.capitalize()} within the tolerance: nobody can say, with so few rows.")
             for part in of_these
         ]
-    return [_kept(part, known) for part in of_these if known]
+    return [_kept(part, certainty) for part in of_these if certainty]
 
 
-def _kept(part: Kept, known: Certainty) -> tuple[bool, str]:
-    """The same of one of them."""
+def _kept(part: Kept, certainty: Certainty) -> tuple[bool, str]:
+    """Whether the region keeps one quantity, position or rotation, within its bound, and the sentence on it."""
     unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
-    where, bound = f"in {share} of {known.title}", f"{number(1e3 * part.bound)} {unit}"
+    where, bound = f"in {share} of {certainty.title}", f"{number(1e3 * part.bound)} {unit}"
     off = f"off by less than {bound} without the instrument's noise"
     if part.tolerance is None:
         if math.isinf(part.bound):
             return False, f"How far off the target's {part.of} is {where} cannot be said: {part.gap}."
         return True, f"In{where[2:]} the target's {part.of} is {off}, with {sure} confidence."
-    asked = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
+    tolerance = f"within the tolerance of {number(1e3 * part.tolerance)} {unit} {where}"
     rows = f" {part.rows_within:,} of {part.rows:,} {part.judges} read less, the instrument's noise included." * (
         part.rows > 0
     )
     if part.within:
-        return True, f"{part.of.capitalize()} {asked}, with {sure} confidence: it is {off} there.{rows}"
-    return False, f"{part.of.capitalize()} not {asked}: {'; '.join(part.reasons)}.{rows}"
+        return True, f"{part.of.capitalize()} {tolerance}, with {sure} confidence: it is {off} there.{rows}"
+    return False, f"{part.of.capitalize()} not {tolerance}: {'; '.join(part.reasons)}.{rows}"
 
 
 def causes_in_words(outcome: Outcome) -> str:
@@ -273,11 +292,11 @@ def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> st
     if rivals:
         return f"What scatters may be the reading of {', '.join(readings)}, or {_either(rivals)}: these rows do not tell which."
     share = np.sum([c.share for c in joints], axis=0)
-    most = int(np.argmax(share > MOST)) if (share > MOST).any() else int(np.argmax(share))
-    if len(alike) == len(joints) and joints[0].share[most] > MOST:
+    most = int(np.argmax(share > MAIN_SHARE)) if (share > MAIN_SHARE).any() else int(np.argmax(share))
+    if len(alike) == len(joints) and joints[0].share[most] > MAIN_SHARE:
         rest = f" {'; '.join(readings[1:])} scatter less." if len(joints) > 1 else ""
         return f"Most of what scatters is the reading of {readings[0]}: were the joints read before standstill?{rest}"
-    if share[most] > MOST:
+    if share[most] > MAIN_SHARE:
         named = ", ".join(readings)
         advice = "were they read before standstill, or rounded in the table?"
         return f"Most of what scatters are the readings of the joints, {named}: {advice}"
@@ -355,6 +374,6 @@ def _correlated(change: str, kept: Sequence[str], columns: Mapping[str, np.ndarr
         if change in columns and name in columns:
             with np.errstate(invalid="ignore"):
                 r = float(np.corrcoef(columns[change], columns[name])[0, 1])
-            if abs(r) > TOGETHER:
+            if abs(r) > LEAST_CORRELATION_SAID:
                 return f" (in these data the two are correlated: r = {r:.2f})"
     return ""

@@ -14,21 +14,20 @@ from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.key_figures import QUESTIONABLE_OUTLIERS, JointRange, joint_ranges, row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, statistics
 from aridcal.pages.drawing.figures import coverage, histogram
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import per_number, sigmas_in_words
 from aridcal.system.wording import counted, number, range_in_words
 
 # Lines of a list of rows.
-MOST = 25
+MOST_LINES = 25
+
+NOTICES_IN_SIGHT = 3
 
 
 def data(outcome: Outcome) -> Iterator[Content]:
     """Question 1: is the data sound?"""
     m = outcome.measurements
     flagged = int(outcome.outlier.sum())
-    yield _row_counts(outcome)
-    if len(m.blocks) > 1:
-        yield _blocks(outcome)
     if flagged > QUESTIONABLE_OUTLIERS * len(m):
         share = 100 * flagged / len(m)
         yield tag(
@@ -38,14 +37,20 @@ def data(outcome: Outcome) -> Iterator[Content]:
             class_="look",
         )
     yield _repeats(outcome)
+    first, more = outcome.notices[:NOTICES_IN_SIGHT], outcome.notices[NOTICES_IN_SIGHT:]
+    if first:
+        yield bullets(first)
+    if more:
+        yield fold(
+            f"{counted(len(more), 'more notice')}", bullets(more, MOST_LINES, "more; result.json lists them all")
+        )
+    yield _row_counts(outcome)
     if flagged:
-        yield _outliers(outcome)
+        yield fold(f"{counted(flagged, 'outlier')}", _outliers(outcome))
     if m.origin.refused:
-        yield tag("h3", "Refused rows")
-        yield bullets([str(remark) for remark in m.origin.refused], MOST, "more; result.json lists them all")
-    if outcome.notices:
-        yield tag("h3", "Notices")
-        yield bullets(outcome.notices, MOST, "more; result.json lists them all")
+        remarks = [str(remark) for remark in m.origin.refused]
+        title = f"{counted(len(remarks), 'refused row')}"
+        yield fold(title, bullets(remarks, MOST_LINES, "more; result.json lists them all"))
 
 
 def _row_counts(outcome: Outcome) -> Markup:
@@ -63,7 +68,9 @@ def _row_counts(outcome: Outcome) -> Markup:
     }
     files = ", ".join(path.name for path in m.origin.files)
     lines = [[what, f"{count:,}"] for what, count in counts.items()]
-    return table(["rows", "number"], lines, f"Rows of {files}")
+    title = f"{len(m) + refused:,} rows read, {counts['fitted']:,} fitted, {parts['test'].sum():,} held out"
+    shown = table(["rows", "number"], lines, f"Rows of {files}")
+    return fold(title, shown, _blocks(outcome) if len(m.blocks) > 1 else "")
 
 
 def _blocks(outcome: Outcome) -> Markup:
@@ -84,8 +91,8 @@ def _blocks(outcome: Outcome) -> Markup:
 
 def _repeats(outcome: Outcome) -> Content:
     """Scatter of configurations that were measured more than once."""
-    found, several = outcome.repeats, not outcome.measurements.direct
-    if found is None:
+    repeats, several = outcome.repeats, not outcome.measurements.direct
+    if repeats is None:
         nothing = (
             "Nothing was measured twice at one configuration" if several else "No configuration was measured twice"
         )
@@ -93,26 +100,24 @@ def _repeats(outcome: Outcome) -> Content:
         marks = " (several marks in one image repeat nothing: a second image there would)" if images else ""
         return tag(
             "p",
-            f"{nothing}{marks}, so the noise of robot and instrument cannot be separated from the "
-            "error of the model. Repeat a few poses next time.",
+            f"{nothing}{marks}, so the noise cannot be told from the error of the model. Repeat a few poses next time.",
         )
     repeatability = (
         ""
-        if math.isnan(found.repeatability)
+        if math.isnan(repeats.repeatability)
         else f" Over all of them, the mean distance to the centre plus three standard deviations is "
-        f"{number(1e3 * found.repeatability)} mm{'' if several else ' (RP of each pose: section ISO 9283)'}."
+        f"{number(1e3 * repeats.repeatability)} mm{'' if several else ' (RP of each pose: section ISO 9283)'}."
     )
-    what = "measurement was repeated" if found.groups == 1 else "measurements were repeated"
+    what = "measurement was repeated" if repeats.groups == 1 else "measurements were repeated"
     repeated = (
-        f"{found.groups:,} {what} at the same configuration, of the same thing"
+        f"{repeats.groups:,} {what} at the same configuration, of the same thing"
         if several
-        else (f"{counted(found.groups, 'configuration')} measured more than once")
+        else (f"{counted(repeats.groups, 'configuration')} measured more than once")
     )
     return tag(
         "p",
-        f"{repeated} ({counted(found.rows, 'row')}). "
-        f"Repeats scatter by {sigmas_in_words(found.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability} "
-        "No calibration can reliably get below the scatter of the repeats.",
+        f"{repeated} ({counted(repeats.rows, 'row')}). "
+        f"Repeats scatter by {sigmas_in_words(repeats.sigma, outcome.channels)} (1σ {per_number(outcome)}).{repeatability}",
     )
 
 
@@ -121,8 +126,8 @@ def _outliers(outcome: Outcome) -> list[Content]:
     as_read = outcome.measurements.as_read
     rows = as_read[outcome.outlier[as_read]]
     why = ["stale" if outcome.measurements.repeats.doubtful[k] else "gross outlier" for k in rows]
-    shown = row_table(outcome, rows[:MOST], "why", why[:MOST], "Outliers and their error after calibration")
-    rest = len(rows) - MOST
+    shown = row_table(outcome, rows[:MOST_LINES], "why", why[:MOST_LINES], "Outliers and their error after calibration")
+    rest = len(rows) - MOST_LINES
     return [shown, tag("p", tag("em", f"and {rest:,} more; residuals.csv flags them all")) if rest > 0 else ""]
 
 
@@ -137,11 +142,11 @@ def row_table(outcome: Outcome, rows: np.ndarray, head: str, words: list[str], c
         caption: What the table shows.
     """
     m = outcome.measurements
-    left = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
+    row_error = row_errors(outcome.stages[-1].residual[rows], outcome.channels)
     lines = []
     for i, (k, word) in enumerate(zip(rows, words, strict=True)):
         part = "held out" if m.test[k] else "fitted"
-        lines.append([row_place(m, int(k)), part, word, *(number(error[i]) for error in left)])
+        lines.append([row_place(m, int(k)), part, word, *(number(error[i]) for error in row_error)])
     titles = [channel.title for channel in outcome.channels]
     return table(["row", "part", head, *titles], lines, caption, numbers=3)
 
@@ -162,27 +167,31 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     """Question 3: is there enough data, in the right places?"""
     precision, joints = outcome.precision, joint_ranges(outcome)
     placed = known_scale(outcome.measurements) is not None
-    known = outcome.certainty
+    certainty = outcome.certainty
     sigma = {"at the fitted rows": 1e3 * precision.position}
-    if known is not None and known.anywhere.told.any():
-        sigma["over the whole joint range"] = 1e3 * known.anywhere.sigma[known.anywhere.told]
-    placed = placed and (known is None or bool(known.anywhere.told.any()))
+    if certainty is not None and certainty.anywhere.told.any():
+        sigma["over the whole joint range"] = 1e3 * certainty.anywhere.sigma[certainty.anywhere.told]
+    placed = placed and (certainty is None or bool(certainty.anywhere.told.any()))
     yield _pictures(joints, sigma if placed else {})
-    yield _joint_table(joints)
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
         named["rotation, at the fitted rows [mrad]"] = 1e3 * precision.rotation
-    lines = []
-    for name, values in named.items():
-        found = statistics(values)
-        lines.append([name, *(number(found[key]) for key in ("median", "p95", "max"))])
+    yield tag("p", "The noise of these measurements causes this uncertainty. Errors that the model lacks come on top.")
+    if named:
+        (what, unit), values = next((name[:-1].split(" ["), values) for name, values in named.items())
+        median = f"median {number(float(np.median(values)))} {unit}"
+        yield fold(f"1σ of the target {what}: {median}", _uncertainty_table(named))
+    yield fold("Measured range of each joint", _joint_table(joints))
+
+
+def _uncertainty_table(named: dict[str, np.ndarray]) -> Markup:
+    """Statistics of the target's 1 sigma, by where it is and its unit."""
+    scores = {name: statistics(values) for name, values in named.items()}
+    lines = [
+        [name, *(number(statistic[key]) for key in ("median", "p95", "max"))] for name, statistic in scores.items()
+    ]
     caption = "1σ of the calibrated target in its worst direction"
-    yield table(["", "median", "95 % below", "max"], lines, caption)
-    yield tag(
-        "p",
-        "This is the uncertainty that the noise of these measurements causes. It does not include errors that the model "
-        "lacks; sections 4 and 5 look for those.",
-    )
+    return table(["", "median", "95 % below", "max"], lines, caption)
 
 
 def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Markup:
@@ -193,8 +202,8 @@ def _pictures(joints: list[JointRange], sigma: dict[str, np.ndarray]) -> Markup:
     drawn: list[tuple[Content, Markup]] = [("Readings of each joint between its limits", where)]
     if sigma:
         label = "1σ of the target, worst direction [mm]"
-        known = histogram("precision", f"Histogram of the {label}", sigma, label)
-        drawn.append(("Uncertainty of the calibrated target, propagated from the measurement noise", known))
+        picture = histogram("precision", f"Histogram of the {label}", sigma, label)
+        drawn.append(("Uncertainty of the calibrated target, propagated from the measurement noise", picture))
     return figures(drawn)
 
 
@@ -202,7 +211,7 @@ def _joint_table(joints: list[JointRange]) -> Markup:
     """Limits and measured range of every joint."""
     lines: list[list[Content]] = []
     for j in joints:
-        limits, seen = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
-        lines.append([tag("code", j.name), limits, seen, f"{100 * j.measured:.0f} %"])
+        limits, measured = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
+        lines.append([tag("code", j.name), limits, measured, f"{100 * j.measured:.0f} %"])
     head = ["joint", "limits", "measured", "share of the range, or of one turn"]
     return table(head, lines, "Joint ranges of the fitted rows")

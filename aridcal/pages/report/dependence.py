@@ -12,7 +12,7 @@ from aridcal.engine.trust.gains import Diagnosis
 from aridcal.jobs.calibrate.key_figures import clear_traces, corrected, significant, slowly_changing, strays
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.figures import Trend, correlogram, of_cloud, panels
-from aridcal.pages.drawing.html import Content, figures, table, tag
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.effects_section import axis_unit, effects_in_the_model, other_candidates, p_in_words
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.wording import number, shown_in
@@ -20,7 +20,7 @@ from aridcal.system.wording import number, shown_in
 MOST_TRACES = 12
 
 # Share of autocorrelations that noise puts outside its 95 % band.
-BAND = 0.05
+SHARE_OUTSIDE_BAND = 0.05
 
 # The two models that are compared.
 WITHOUT, WITH = "without effects", "final model"
@@ -38,16 +38,25 @@ def drives(outcome: Outcome, progress: Progress = SILENT) -> Iterator[Content]:
         yield from other_candidates(outcome.diagnosis)
 
 
-def _noise_tests(found: Diagnosis) -> Iterator[Content]:
+def _noise_tests(diagnosis: Diagnosis) -> Iterator[Content]:
     """Tests of the final model's residual."""
-    yield tag("h3", "Is the remaining error noise?")
     lines = []
-    for clue in found.clues:
+    for clue in diagnosis.clues:
         answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < SURE else "no"
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]
-        yield table(head, lines, "Is there structure in the residual of the final model?")
+        shown = table(head, lines, "Signs of structure in the residual of the final model")
+        yield fold(_signs_in_words(sum(clue.tells for clue in diagnosis.clues), len(lines)), shown)
+
+
+def _signs_in_words(significant: int, tested: int) -> str:
+    """How many signs of structure there are."""
+    return f"Is the remaining error noise? {significant or 'None'} of {tested} signs of structure {_are(significant)} significant"
+
+
+def _are(count: int) -> str:
+    return "is" if count == 1 else "are"
 
 
 def _in_order(order: Order) -> Iterator[Content]:
@@ -57,54 +66,53 @@ def _in_order(order: Order) -> Iterator[Content]:
         return
     ordered = "time order" if order.timed else "table order"
     place = f"In {ordered}" if order.timed else f"In {ordered} (no time was recorded)"
-    off, by_chance = strays(order), max(round(BAND * count), 1)
-    yield tag(
+    off, by_chance = strays(order), max(round(SHARE_OUTSIDE_BAND * count), 1)
+    said = tag(
         "p",
         f"{place}, residuals change sign {order.changes:,} times from one row to the next; pure noise gives "
         f"{order.expected:,.0f} ± {order.spread:,.0f} (p = {number(order.p_value, 2)} for so few). {off} of {count} "
-        f"autocorrelations {'is' if off == 1 else 'are'} outside the 95 % band of noise; about {by_chance} may be by "
-        "chance. ",
-        "Consecutive rows have similar residuals: either something changed slowly during the measurement, or such rows "
-        "share something else that the model lacks."
-        if slowly_changing(order)
-        else "There is no sign of a slow change during the measurement.",
+        f"autocorrelations {_are(off)} outside the 95 % band of noise; about {by_chance} may be by chance.",
     )
+    title = "There is no sign of a slow change during the measurement"
+    if slowly_changing(order):
+        title = "Consecutive rows have similar residuals: something changed slowly, or they share what the model lacks"
     alt = "Autocorrelation of the residuals over the number of rows between them"
     label = f"lag in rows, {ordered} [1]"
     picture = correlogram("order", alt, order.lags, order.correlation, order.bound, label)
-    yield figures([("Autocorrelation of the residuals, mean over all axes", picture)])
+    yield fold(title, said, figures([("Autocorrelation of the residuals, mean over all axes", picture)]))
 
 
 def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """The residual as an error of each joint, over that joint."""
-    found = outcome.traces.joints
-    if not found:
+    traces = outcome.traces.joints
+    if not traces:
         return
-    yield tag("h3", "Remaining error as an error of each joint")
-    yield tag(
+    said = tag(
         "p",
         "Each dot is the motion of that joint which best explains the residual of one row. Bars are means over groups of "
         "rows, ± 2σ of noise; the line is a smooth curve through them. Rows at which the joint hardly moves the target are "
         "left out.",
     )
     drawn: list[tuple[Content, Markup]] = []
-    for k, trace in enumerate(progress.over(found, "pictures of joints")):
-        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(found))}", of_cloud(len(trace.seen))]
+    for k, trace in enumerate(progress.over(traces, "pictures of joints")):
+        caption = [tag("code", trace.motion), f": {_in_words(outcome, trace, len(traces))}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
-    yield figures(drawn)
+    waving = sum(corrected(trace.after.p_value, len(traces)) <= SURE for trace in traces)
+    title = f"Remaining error as an error of each joint: {waving or 'none'} of {len(traces)} {_are(waving)} significant"
+    yield fold(title, said, figures(drawn))
 
 
-def _in_words(outcome: Outcome, trace: Trace, asked: int) -> str:
+def _in_words(outcome: Outcome, trace: Trace, tests: int) -> str:
     """What a trace shows, in a sentence."""
-    now = _size_in_words(trace, trace.after, asked)
+    now = _size_in_words(trace, trace.after, tests)
     if not outcome.effects:
         return f"{now}."
-    return f"{WITHOUT} {_size_in_words(trace, trace.before, asked)}; {WITH} {now}."
+    return f"{WITHOUT} {_size_in_words(trace, trace.before, tests)}; {WITH} {now}."
 
 
-def _size_in_words(trace: Trace, course: Course, asked: int) -> str:
+def _size_in_words(trace: Trace, course: Course, tests: int) -> str:
     """A repeatable part with its p-value, corrected for the number of those asked about."""
-    p = corrected(course.p_value, asked)
+    p = corrected(course.p_value, tests)
     if p > SURE:
         return f"nothing significant (p = {p_in_words(p)})"
     return f"{_size(trace, course)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
@@ -142,48 +150,42 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Markup:
 
 def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """On which joint, load or column anything depends."""
-    found, asked = clear_traces(outcome), outcome.traces.asked
-    if not found:
+    traces, tests = clear_traces(outcome), outcome.traces.asked
+    if not traces:
         return
-    clear = [trace for trace in found if significant(trace, asked)]
-    yield tag("h3", "Remaining error against every recorded quantity")
-    said = (
-        f"{len(clear)} of the quantities below {'is' if len(clear) == 1 else 'are'} significant; the clearest dependence is "
-        f"that of {clear[0].motion} on {clear[0].covariate}."
-        if clear
-        else "No dependence is significant among so many tests."
-    )
-    yield tag(
+    clear = [trace for trace in traces if significant(trace, tests)]
+    title = "Remaining error against every recorded quantity: "
+    title += f"clearest is {clear[0].motion} on {clear[0].covariate}" if clear else "no dependence is significant"
+    said = tag(
         "p",
         "The residual along each joint's own motion and along each world axis was tested against every joint, load and "
-        f"column: {asked:,} tests. {said}",
+        f"column: {tests:,} tests. {len(clear) or 'None'} {_are(len(clear))} significant.",
     )
-    yield _trace_table(outcome, found[:MOST_TRACES])
     own = {(trace.motion, trace.covariate) for trace in outcome.traces.joints}  # are drawn above
     columns = set(outcome.measurements.covariates)
     worth = [
         trace
-        for trace in found
-        if (trace.motion, trace.covariate) not in own and (significant(trace, asked) or trace.covariate in columns)
+        for trace in traces
+        if (trace.motion, trace.covariate) not in own and (significant(trace, tests) or trace.covariate in columns)
     ]
     drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
-        caption = [*names, f": {_in_words(outcome, trace, asked)}", of_cloud(len(trace.seen))]
+        caption = [*names, f": {_in_words(outcome, trace, tests)}", of_cloud(len(trace.seen))]
         drawn.append((caption, _picture(outcome, f"trace-{k}", trace)))
-    yield figures(drawn)
+    yield fold(title, said, _trace_table(outcome, traces[:MOST_TRACES]), figures(drawn))
 
 
-def _trace_table(outcome: Outcome, found: list[Trace]) -> Markup:
+def _trace_table(outcome: Outcome, traces: list[Trace]) -> Markup:
     """Size and p-value of some dependences."""
-    asked = outcome.traces.asked
+    tests = outcome.traces.asked
     lines: list[list[Content]] = []
-    for trace in found:
+    for trace in traces:
         sizes = [_size(trace, course) for course in _models(outcome, trace).values()]
-        p = p_in_words(corrected(trace.after.p_value, asked))
-        verdict = "yes" if significant(trace, asked) else "no"
+        p = p_in_words(corrected(trace.after.p_value, tests))
+        verdict = "yes" if significant(trace, tests) else "no"
         lines.append([tag("code", trace.covariate), trace.motion, *sizes, p, verdict])
     models = [WITHOUT, WITH] if outcome.effects else [WITH]
-    head = ["quantity", "clearest in", *models, f"p-value, corrected for {asked:,} tests", "significant"]
+    head = ["quantity", "clearest in", *models, f"p-value, corrected for {tests:,} tests", "significant"]
     caption = "Repeatable part of the remaining error, RMS, the most significant first"
     return table(head, lines, caption, numbers=2)

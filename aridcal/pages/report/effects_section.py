@@ -17,18 +17,19 @@ from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect
 from aridcal.jobs.calibrate.folder import what_moved
 from aridcal.jobs.calibrate.outcome import Outcome, errors
 from aridcal.pages.drawing.figures import curve, of_cloud
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.words import how_to_separate
 from aridcal.system.wording import counted, number, plus_minus, shown_in
 
+CURVES_IN_SIGHT = 4
 MOST_REJECTED = 15
 MOST_BARRED = 25
 
 # Periods of a curve from which it needs a wide figure.
-WINDING = 5.0
+MOST_PERIODS_OF_A_NARROW_FIGURE = 5.0
 
 # p-values below it are not written out.
-TINY = 1e-100
+LEAST_P_VALUE_SHOWN = 1e-100
 
 LOAD_UNITS = {"gravity_torque": "N·m", "gravity_moment": "N·m", "payload_torque": "N·m"}
 COLUMN_UNITS = {"time": "s", "temperature": "°C", "payload": "kg"}
@@ -38,16 +39,17 @@ def effects_in_the_model(outcome: Outcome) -> Iterator[Content]:
     """What each effect gains, its curves and coefficients, and what it is confounded with."""
     if not outcome.effects:
         searched = outcome.diagnosis is not None and outcome.diagnosis.tested > 0
-        found = "and the search accepted none" if searched else "and no search was made"
-        yield tag("p", f"No effect beyond the geometry was declared, {found}.")
+        search = "and the search accepted none" if searched else "and no search was made"
+        yield tag("p", f"No effect beyond the geometry was declared, {search}.")
         return
-    yield tag("h3", "Effects in the model")
-    yield _gains(outcome)
     pairs = [(effect, part) for effect in outcome.effects for part in effect.curves]
-    yield figures(_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs))
-    yield _coefficients(outcome)
-    yield from (_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect))
+    curves = [_curve(outcome, f"effect-{k}", effect, part) for k, (effect, part) in enumerate(pairs)]
+    yield figures(curves[:CURVES_IN_SIGHT])
+    if len(curves) > CURVES_IN_SIGHT:
+        yield fold(counted(len(curves) - CURVES_IN_SIGHT, "more curve"), figures(curves[CURVES_IN_SIGHT:]))
     yield from _confounded(outcome)
+    labels = [_by_label(outcome, e.effect) for e in outcome.effects if is_of_labels(e.effect)]
+    yield fold("Gain and coefficients of each effect", _gains(outcome), _coefficients(outcome), labels)
 
 
 def _gains(outcome: Outcome) -> Markup:
@@ -78,23 +80,23 @@ def _gains(outcome: Outcome) -> Markup:
 
 def p_in_words(p: float) -> str:
     """A p-value to two digits."""
-    return "below 1e−100" if p < TINY else number(p, 2)
+    return "below 1e−100" if p < LEAST_P_VALUE_SHOWN else number(p, 2)
 
 
-def _curve(outcome: Outcome, key: str, effect: NamedEffect, found: Curve) -> tuple[Content, Markup]:
+def _curve(outcome: Outcome, key: str, effect: NamedEffect, motion: Curve) -> tuple[Content, Markup]:
     """Caption and picture of one motion of an effect over one covariate."""
-    unit, scale = axis_unit(outcome, found.covariate)
-    moved, size = shown_in(found.unit)
+    unit, scale = axis_unit(outcome, motion.covariate)
+    moved, size = shown_in(motion.unit)
     label = effect.effect.label
-    alt = f"{label}: {found.component} over {found.covariate}"
-    rows = (scale * found.seen, size * found.pulled)
-    labels = (f"{found.covariate}{unit}", f"{found.component} [{moved}]")
-    periods = max(effect.effect.order, default=0.0) * float(np.ptp(found.at)) / (2 * math.pi)
-    at, value, std = scale * found.at, size * found.value, size * found.std
-    picture = curve(key, alt, at, value, std, rows, labels, winding=periods > WINDING)
-    span, known = number(float(np.ptp(value))), number(float(np.median(std)), 2)
-    seen = f"{span} {moved} peak to peak, known to {known} {moved} (median 1σ)"
-    said = f", {found.component} over {found.covariate}: {seen}{of_cloud(len(found.seen))}"
+    alt = f"{label}: {motion.component} over {motion.covariate}"
+    rows = (scale * motion.seen, size * motion.pulled)
+    labels = (f"{motion.covariate}{unit}", f"{motion.component} [{moved}]")
+    periods = max(effect.effect.order, default=0.0) * float(np.ptp(motion.at)) / (2 * math.pi)
+    at, value, std = scale * motion.at, size * motion.value, size * motion.std
+    picture = curve(key, alt, at, value, std, rows, labels, winding=periods > MOST_PERIODS_OF_A_NARROW_FIGURE)
+    span, sigma = number(float(np.ptp(value))), number(float(np.median(std)), 2)
+    range_and_sigma = f"{span} {moved} peak to peak, known to {sigma} {moved} (median 1σ)"
+    said = f", {motion.component} over {motion.covariate}: {range_and_sigma}{of_cloud(len(motion.seen))}"
     return [tag("code", label), said], picture
 
 
@@ -150,25 +152,25 @@ def _by_label(outcome: Outcome, effect: Effect) -> Content:
     What all of them have in common is as uncertain as they differ, since it is the one model's, too; differences are not.
     """
     fit, m = outcome.stage("final").fit, outcome.measurements
-    known = labels_of(c.basis for c in effect.coefficients)
+    labels = labels_of(c.basis for c in effect.coefficients)
     turning = {j.name for j in outcome.robot.joints if j.kind == "revolute"}
     shown = {
         component: shown_in("rad" if component in ANGULAR or (component == "axis" and effect.where in turning) else "m")
         for component in effect.motion
     }
-    cells: dict[str, list[Content]] = {name: [] for name in known}
+    cells: dict[str, list[Content]] = {name: [] for name in labels}
     for component, (_, size) in shown.items():
         own = [
-            fit.model.names.index(Coefficient(effect.where, component, Basis("label", (name,))).name) for name in known
+            fit.model.names.index(Coefficient(effect.where, component, Basis("label", (name,))).name) for name in labels
         ]
         apart = np.eye(len(own)) - 1.0 / len(own)
         value = size * apart @ fit.theta[own]
         std = size * np.sqrt(np.diag(apart @ fit.covariance[np.ix_(own, own)] @ apart))
-        for name, *numbers in zip(known, value.tolist(), std.tolist(), strict=True):
+        for name, *numbers in zip(labels, value.tolist(), std.tolist(), strict=True):
             cells[name].append(plus_minus(*numbers))
     assert m.labels.station is not None
     used = m.labels.station[~m.test & ~outcome.outlier]
-    lines = [[label_in(name), str(int(np.sum(used == label_in(name)))), *cells[name]] for name in known]
+    lines = [[label_in(name), str(int(np.sum(used == label_in(name)))), *cells[name]] for name in labels]
     head = ["label", "fitted rows", *(f"{component} [{unit}]" for component, (unit, _) in shown.items())]
     caption = f"{effect.label}: how each label deviates from the mean of all, ± 1σ; any other label has the one model"
     return table(head, lines, caption)
@@ -196,27 +198,31 @@ def _confounded(outcome: Outcome) -> Iterator[Content]:
     for e in outcome.effects:
         for other in e.confounded_with:
             lines.append([e.effect.label, other.label, how_to_separate(e.effect, other, robot, columns)])
-    yield tag("h3", "Confounded effects")
     if not lines:
-        yield tag("p", "No other effect that was tested explains these data as well as one in the model.")
+        yield tag("p", "No other effect that was tested explains these data as well.")
         return
     head = ["effect in the model", "confounded with", "to separate them"]
-    yield table(head, lines, "Effects that these data cannot separate", numbers=3)
+    shown = table(head, lines, "Effects that these data cannot separate", numbers=3)
+    yield fold("Effects that these data cannot separate, and what to measure", shown)
 
 
-def other_candidates(found: Diagnosis) -> Iterator[Content]:
+def other_candidates(diagnosis: Diagnosis) -> Iterator[Content]:
     """What the search rejected, and what it could not test."""
-    if not found.tested:
+    if not diagnosis.tested:
         return
-    yield tag("h3", "Other candidates")
-    yield tag(
-        "p",
-        f"{counted(found.tested, 'candidate')} tested: first the known kinds of effect, then functions of one or two "
-        "covariates for what no known kind explains.",
-    )
-    if found.rejected:
-        lines = [[r.effect.label, p_in_words(r.p_value), r.why] for r in found.rejected[:MOST_REJECTED]]
-        yield table(["effect", "p-value", "why rejected"], lines, "Best of the rejected candidates", numbers=3)
-    if found.barred:
-        yield tag("p", "These data cannot test:")
-        yield bullets((f"{b.what}: {b.why}" for b in found.barred), MOST_BARRED, "more that could not be tested")
+    said: list[Content] = [
+        tag(
+            "p",
+            "First the known kinds of effect, then functions of one or two covariates for what no known kind explains.",
+        )
+    ]
+    if diagnosis.rejected:
+        lines = [[r.effect.label, p_in_words(r.p_value), r.why] for r in diagnosis.rejected[:MOST_REJECTED]]
+        head = ["effect", "p-value", "why rejected"]
+        said.append(table(head, lines, "Best of the rejected candidates", numbers=3))
+    if diagnosis.barred:
+        said.append(tag("p", "These data cannot test:"))
+        said.append(
+            bullets((f"{b.what}: {b.why}" for b in diagnosis.barred), MOST_BARRED, "more that could not be tested")
+        )
+    yield fold(f"{counted(diagnosis.tested, 'candidate')} tested; why the best of the others were rejected", said)

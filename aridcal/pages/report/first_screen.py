@@ -38,7 +38,7 @@ from aridcal.jobs.calibrate.key_figures import (
 from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.pages.drawing.frame import card
-from aridcal.pages.drawing.html import Content, codes, tag
+from aridcal.pages.drawing.html import Content, bullets, codes, fold, tag
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,
@@ -83,7 +83,7 @@ MOST_CAUSES = 3
 MOST_NAMES = 3
 
 # Share of the squared error below which only its smallness is told.
-FAINT = 1e-3
+LEAST_SHARE_SHOWN = 1e-3
 
 SPELLED = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve")
 
@@ -120,8 +120,8 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
     yield tag(
         "div",
-        tag("div", tag("h2", "Main corrections"), tag("p", list(_causes(outcome)))),
-        tag("div", tag("h2", "What remains"), tag("p", list(_remaining(outcome)))),
+        tag("div", tag("h2", "Main corrections"), list(_causes(outcome))),
+        tag("div", tag("h2", "What remains"), list(_remaining(outcome))),
         tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
         class_="answers",
     )
@@ -129,7 +129,10 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
 
 def _who_and_what(outcome: Outcome) -> Iterator[Content]:
     """Robot, serial number, instrument, who and when, as far as the campaign states them."""
-    facts = dict(who_and_what(outcome.campaign.about or About(), outcome.robot, outcome.measurements))
+    about = outcome.campaign.about or About()
+    facts = dict(who_and_what(about, outcome.robot, outcome.measurements))
+    if not about.robot:
+        del facts["Robot"]  # its name is the title
     stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
     yield f"{' · '.join(stated)}. "
     rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
@@ -145,13 +148,13 @@ def _card(outcome: Outcome, k: int) -> Markup:
     mask = mask & outcome.measurements.measures[:, k]
     channel = outcome.channels[k]
     what, unit = channel.noun, channel.shown
-    found = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
-    before, after = found[0][1], found[-1][1]
+    scores = [(step, errors(step.residual, mask, outcome.channels)[channel.key]) for step in steps(outcome)]
+    before, after = scores[0][1], scores[-1][1]
     said = (
-        f"before → after calibration, on {mask.sum():,} {rows}, the instrument's noise included. After it 95 % are below "
-        f"{number(after['p95'])} {unit}; the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
+        f"On {mask.sum():,} {rows}, the instrument's noise included. 95 % are below {number(after['p95'])} {unit}, "
+        f"the largest is {number(after['max'])} {unit}.{at_target_in_words(outcome, k, mask)}"
     )
-    bars = _bars([(step, e["rms"]) for step, e in found], unit)
+    bars = _bars([(step, e["rms"]) for step, e in scores], unit)
     own = in_controller(outcome, k)
     below = [tag("p", tag("strong", own)) if own else "", bars]
     return card(what, unit, ("before calibration", before["rms"]), ("after calibration", after["rms"]), said, below)
@@ -184,13 +187,13 @@ def in_controller(outcome: Outcome, k: int) -> str:
 
 def _other_day(outcome: Outcome) -> Content:
     """A card on another day's rows; nothing where there are none."""
-    found, said = outcome.verification, another_day(outcome)
-    if found is None or said is None:
+    verification, said = outcome.verification, another_day(outcome)
+    if verification is None or said is None:
         return ""
-    rows = found.measurements
+    rows = verification.measurements
     channel = rows.channels[leading(rows)[0]]
     before, after = (
-        errors(found.residuals[name], ~found.outlier, rows.channels)[channel.key]["rms"]
+        errors(verification.residuals[name], ~verification.outlier, rows.channels)[channel.key]["rms"]
         for name in ("nominal", "final")
     )
     good, sentence = said
@@ -227,8 +230,12 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
     """Which corrections removed how much of the squared error, and the largest of them."""
     shares = removed_shares(outcome)
     identified = [p for p in constants(outcome) if p["status"] == "identified"]
-    if shares:
-        yield _shares_in_words(outcome, shares, len(identified))
+    if shares and shares[0][1] <= 0.0:
+        yield tag("p", f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows.")
+    elif shares:
+        yield tag("p", f"Shares of the {squared(outcome)} that they remove:")
+        lines = _shares_in_words(outcome, shares, len(identified))
+        yield tag("ul", [tag("li", tag("b", share), " ", who) for share, who in lines], class_="shares")
     words: list[Content] = []
     zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
     of_zeros = {name for zero in zeros for name in zero.names}
@@ -242,11 +249,11 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
         if largest is not None:
             words += [", ", tag("code", largest["name"]), f" {size_in_words(largest)}"]
     if words:
-        yield ["Largest corrections: ", words[1:], "."]
+        yield tag("p", "Largest: ", words[1:], ".")
 
 
-def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> str:
-    """``Nine geometric corrections account for 86 % of the squared position error, joint_map at joint_2 for 12 %``.
+def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> Iterator[tuple[str, str]]:
+    """``86 %`` and ``nine geometric corrections``, ``12 %`` and ``joint_map at joint_2 (the joint's angle errs ...)``.
 
     Args:
         outcome: What was found.
@@ -254,24 +261,18 @@ def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], correct
         corrections: How many geometric corrections were identified.
     """
     meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
-    if shares[0][1] <= 0.0:
-        return f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows. "
-    parts: list[str] = []
+    explained = set()
     for step, share in shares[:MOST_CAUSES]:
         geometric = "geometric" in step.names
         who = _corrections_in_words(corrections) if geometric else step.effect or "the final fit"
-        what = "" if geometric else meanings.get(step.effect, "")
-        if what and not any(what in part for part in parts):
-            who = f"{who} ({what})"
-        verb = "account" if geometric and corrections != 1 else "accounts"
-        first = f" {verb} for {_percent(share)} of the {squared(outcome)}"
-        parts.append(who + (f" for {_percent(share)}" if parts else first))
+        meaning = "" if geometric else meanings.get(step.effect, "")
+        if meaning and meaning not in explained:
+            explained.add(meaning)
+            who = f"{who} ({meaning})"
+        yield _percent(share), who
     rest = [share for _, share in shares[MOST_CAUSES:]]
     if rest:
-        parts.append(f"{counted(len(rest), 'further correction')} for {_percent(sum(rest))}")
-    sentence = ", ".join(parts)
-    capital = "geometric" in shares[0][0].names  # the name of an effect stays as it is
-    return f"{sentence[0].upper() if capital else sentence[0]}{sentence[1:]}. "
+        yield _percent(sum(rest)), counted(len(rest), "further correction")
 
 
 def _corrections_in_words(count: int) -> str:
@@ -282,41 +283,53 @@ def _corrections_in_words(count: int) -> str:
 
 def _percent(share: float) -> str:
     """A share of the squared error in words."""
-    return f"{number(100 * share, 2)}\u00a0%" if abs(share) >= FAINT else f"less than {100 * FAINT:g}\u00a0%"
+    return (
+        f"{number(100 * share, 2)}\u00a0%"
+        if abs(share) >= LEAST_SHARE_SHOWN
+        else f"< {100 * LEAST_SHARE_SHOWN:g}\u00a0%"
+    )
 
 
-def _remaining(outcome: Outcome) -> Iterator[Content]:
-    """The verdict, and the noise that no model can get below."""
-    said = outcome.verdict
-    if said.noise_unknown:
+def _remaining(outcome: Outcome) -> Iterator[Markup]:
+    """The verdict with its reasons, and the noise that no model can get below."""
+    verdict = outcome.verdict
+    if verdict.noise_unknown:
         sentence = noise_unknown_in_words(outcome)
-        yield f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
+        said = f"{sentence[0].upper()}{sentence[1:]}: declare it in the campaign, or measure some configurations twice."
     else:
-        yield VERDICTS[said.word].sentences
-    if said.reasons and not said.noise_unknown:
-        yield f" Signs of it: {'; '.join(said.reasons)}."
-    if said.share > 0:
-        yield f" {100 * said.share:.0f} % of the remaining variance is repeatable."
-    per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
+        said = VERDICTS[verdict.word].sentences
+    repeatable = f" {100 * verdict.share:.0f} % of the remaining variance is repeatable." if verdict.share > 0 else ""
+    yield tag("p", said, repeatable)
+    if verdict.reasons and not verdict.noise_unknown:
+        yield tag("p", "Signs of it:")
+        yield bullets(verdict.reasons)
+    yield tag("p", _noise(outcome))
     causes = causes_in_words(outcome)
-    whose, all_of_it = (" of the instrument", "with all that scatters ") if causes else ("", "")
-    in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if causes or outcome.measurements.direct else ""
-    if outcome.noise_source == "declared":
-        yield f" Declared noise{whose}: {per_axis}{in_all}."
-        yield NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
-    else:
-        yield f" Noise{whose} estimated from the residuals: {per_axis}{in_all}."
     if causes:
-        yield f" {causes}"
-    if outcome.noise_source != "declared" and outcome.repeats is not None:
-        yield f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
-        yield NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+        yield fold("What scatters", tag("p", causes))
+
+
+def _noise(outcome: Outcome) -> str:
+    """The instrument's noise, where it is known from, and whether it is what no model can get below."""
+    per_axis = f"{sigmas_in_words(outcome.noise, outcome.channels)} {per_number(outcome)}"
+    more = bool(causes_in_words(outcome))
+    whose, all_of_it = (" of the instrument", "with all that scatters ") if more else ("", "")
+    in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if more or outcome.measurements.direct else ""
+    if outcome.noise_source == "declared":
+        floor = NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
+        return f"Declared noise{whose}: {per_axis}{in_all}.{floor}"
+    said = f"Noise{whose} estimated from the residuals: {per_axis}{in_all}."
+    if outcome.repeats is None:
+        return said
+    repeats = f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
+    floor = NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    return f"{said}{repeats}{floor}"
 
 
 def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
     """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by; NaN is none."""
-    seen = outcome.stage("final").fit.estimated
-    return not np.any(seen <= sigma * math.exp(-WORTH_SAYING))
+    scatter = outcome.stage("final").fit.estimated
+    return not np.any(scatter <= sigma * math.exp(-WORTH_SAYING))
 
 
 def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
@@ -326,9 +339,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     yield from kept_in_words(outcome, asked=False)
     for sentence in scale_in_words(outcome):
         yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
-    known = None if outcome.measurements.direct else sigma_and_error(outcome)
-    if known is not None:
-        sigma, error = known
+    sigma_beside_error = None if outcome.measurements.direct else sigma_and_error(outcome)
+    if sigma_beside_error is not None:
+        sigma, error = sigma_beside_error
         more = (
             ""
             if sigma < error
@@ -351,11 +364,12 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     held_out, every = (int(outcome.parts()[part].sum()) for part in ("test", "test_all"))
     if every:
         flagged = every - held_out
-        yield flagged <= QUESTIONABLE_OUTLIERS * every, f"{every_held_out_row(outcome)}."
+        none = f"0 of {every:,} held-out rows flagged as outliers"  # the cards have their error
+        yield flagged <= QUESTIONABLE_OUTLIERS * every, f"{every_held_out_row(outcome) if flagged else none}."
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
-        if held_out:
-            yield held_out >= LEAST_HELD_OUT, f"Checked on {counted(held_out, 'held-out row')}."
+        if 0 < held_out < LEAST_HELD_OUT:
+            yield False, f"Checked on {counted(held_out, 'held-out row')} only."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
     flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)

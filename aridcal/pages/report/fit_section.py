@@ -13,7 +13,7 @@ from aridcal.jobs.calibrate.key_figures import axis_rms, row_errors, scored, ste
 from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, errors
 from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import histogram, of_cloud, panels
-from aridcal.pages.drawing.html import Content, figures, table, tag
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.pages.report.data_section import row_table
 from aridcal.pages.report.second_look_section import halves, left_out
 from aridcal.system.wording import counted, number, reading_in_words
@@ -42,19 +42,17 @@ def fits(outcome: Outcome) -> Iterator[Content]:
     mask, words = scored(outcome)
     first, last = outcome.stages[0].residual[mask], outcome.stages[-1].residual[mask]
     compared = {"before calibration": first, "after": last}
-    yield from _error_tables(outcome)
-    yield tag("h3", f"Before and after, on {words}")
+    yield tag("p", f"Errors of the {words}, before and after calibration, and where they remain:")
     yield _histograms(compared, outcome.channels)
+    yield _workspace(outcome)
+    yield fold("Errors of every model", list(_error_tables(outcome)))
     yield from halves(outcome)
     yield from left_out(outcome)
-    yield tag("h3", "Axis by axis")
-    yield _axis_table(outcome)
-    yield _axis_pictures(compared, outcome.channels, words)
-    yield tag("h3", "Over the workspace")
-    yield _workspace(outcome)
+    yield fold("Axis by axis", _axis_table(outcome), _axis_pictures(compared, outcome.channels, words))
     worst = worst_rows(outcome, MOST_WORST)
     readings = [_configuration(outcome, k) for k in worst]
-    yield row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
+    shown = row_table(outcome, worst, "configuration", readings, f"The worst {words}, after calibration")
+    yield fold("Rows with the largest errors", shown)
 
 
 def _error_tables(outcome: Outcome) -> Iterator[Content]:
@@ -71,8 +69,8 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
     for channel in outcome.channels:
         lines = []
         for step in path:
-            found = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
-            lines.append([step.title, *(number(f[s]) for f in found for s in STATISTICS)])
+            scores = [errors(step.residual, parts[part], outcome.channels)[channel.key] for part in shown]
+            lines.append([step.title, *(number(f[s]) for f in scores for s in STATISTICS)])
         yield table(head, lines, channel.title.capitalize())
     yield _error_words(outcome)
 
@@ -97,7 +95,7 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Markup:
     """Distribution of the errors before and after, from residuals (n, m)."""
     drawn: list[tuple[Content, Markup]] = []
     for k, channel in enumerate(channels):
-        values = {name: _told(row_errors(residual, channels)[k]) for name, residual in compared.items()}
+        values = {name: _without_nan(row_errors(residual, channels)[k]) for name, residual in compared.items()}
         if not all(len(v) for v in values.values()):
             continue
         alt = f"Histogram of the {channel.title} before and after calibration"
@@ -105,8 +103,8 @@ def _histograms(compared: dict[str, np.ndarray], channels: Channels) -> Markup:
     return figures(drawn)
 
 
-def _told(values: np.ndarray) -> np.ndarray:
-    """Those that are there: rows of other instruments have none."""
+def _without_nan(values: np.ndarray) -> np.ndarray:
+    """Values of one channel, shape (n,), without the NaN of rows that do not measure it."""
     return values[~np.isnan(values)]
 
 
@@ -126,9 +124,12 @@ def _axis_table(outcome: Outcome) -> Markup:
     """RMS of every step in each axis of the world."""
     mask, words = scored(outcome)
     path = steps(outcome)
-    axes, told = _axes(outcome.channels), spread(np.array([not c.inner for c in outcome.channels]), outcome.channels)
-    found = [(step.title, axis_rms(step.residual[mask], outcome.channels)[told]) for step in path]
-    lines = [[title, *(number(v) for v in values)] for title, values in found]
+    axes, of_the_arm = (
+        _axes(outcome.channels),
+        spread(np.array([not c.inner for c in outcome.channels]), outcome.channels),
+    )
+    scores = [(step.title, axis_rms(step.residual[mask], outcome.channels)[of_the_arm]) for step in path]
+    lines = [[title, *(number(v) for v in values)] for title, values in scores]
     own = "the residual in world axes" if outcome.measurements.direct else "each number read"
     return table(["model", *axes], lines, f"RMS of {own}, {words}")
 
@@ -140,8 +141,8 @@ def _axis_pictures(compared: dict[str, np.ndarray], channels: Channels, words: s
     there = ~np.isnan(np.stack(list(compared.values()))).any(axis=0)
     order = np.arange(1.0, len(before) + 1)
     scale = spread(np.array([c.scale for c in channels]), channels)
-    told = np.flatnonzero(spread(np.array([not c.inner for c in channels]), channels))
-    for k, axis in zip(told.tolist(), _axes(channels), strict=True):
+    of_the_arm = np.flatnonzero(spread(np.array([not c.inner for c in channels]), channels))
+    for k, axis in zip(of_the_arm.tolist(), _axes(channels), strict=True):
         own = there[:, k]
         if not own.any():
             continue
@@ -173,8 +174,8 @@ def _workspace(outcome: Outcome) -> Markup:
         labels = (f"world {first} [m]", f"world {second} [m]")
         alt = f"{what} after calibration over {labels[0]} and {labels[1]}"
         plot = field(f"field-{first}{second}", alt, points[:, [a, b]], error, labels, "mm", colors)
-        drawn.append((f"{what} after calibration, {first}–{second} plane", plot))
-    return figures(drawn)
+        drawn.append((f"{what}, {first}–{second} plane", plot))
+    return figures(drawn, "figures three")
 
 
 def _in_world(outcome: Outcome) -> np.ndarray:
@@ -196,23 +197,27 @@ def _configuration(outcome: Outcome, row: int) -> str:
 
 def verification(outcome: Outcome) -> Iterator[Content]:
     """How the models do on another day's data."""
-    found = outcome.verification
-    assert found is not None
-    yield tag("p", f"{found.file}: {counted(len(found.measurements), 'row')} that were not used for the calibration.")
-    if found.left_out:
-        yield tag("p", f"{found.left_out}.")
-    models = dict(found.residuals)
-    if found.realigned is not None:
-        models["final, frames refitted"] = found.realigned
-    sound = ~found.outlier
-    channels = found.measurements.channels
-    for channel in [channels[k] for k in np.flatnonzero(found.measurements.measures.sum(axis=0))]:
+    other_day = outcome.verification
+    assert other_day is not None
+    yield tag(
+        "p", f"{other_day.file}: {counted(len(other_day.measurements), 'row')} that were not used for the calibration."
+    )
+    if other_day.left_out:
+        yield tag("p", f"{other_day.left_out}.")
+    models = dict(other_day.residuals)
+    if other_day.realigned is not None:
+        models["final, frames refitted"] = other_day.realigned
+    sound = ~other_day.outlier
+    channels = other_day.measurements.channels
+    shown = []
+    for channel in [channels[k] for k in np.flatnonzero(other_day.measurements.measures.sum(axis=0))]:
         scores = {name: errors(residual, sound, channels)[channel.key] for name, residual in models.items()}
         lines = [[name, *(number(s[k]) for k in STATISTICS)] for name, s in scores.items()]
-        yield table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize())
-    excluded = counted(int(found.outlier.sum()), "gross outlier")
+        shown.append(table(["model", *STATISTIC_NAMES.values()], lines, channel.title.capitalize()))
+    excluded = counted(int(other_day.outlier.sum()), "gross outlier")
     yield tag(
         "p",
-        f"{excluded} excluded. If the error is much larger than on the campaign's own held-out rows but small again with "
-        "the frames refitted, the target or the instrument was remounted. If it stays large, the robot has changed since.",
+        f"{excluded} excluded. An error that is small only with the frames refitted says that the target or the instrument "
+        "was remounted. One that stays large says that the robot has changed.",
     )
+    yield fold("Errors of every model on that day", shown)

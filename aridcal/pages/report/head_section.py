@@ -11,7 +11,7 @@ from aridcal.jobs.calibrate.closed_form import ClosedForm
 from aridcal.jobs.calibrate.key_figures import scored
 from aridcal.jobs.calibrate.measuring_head import HeadNumber, MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, errors
-from aridcal.pages.drawing.html import Content, table, tag
+from aridcal.pages.drawing.html import Content, fold, table, tag
 from aridcal.pages.report.identified_section import length_or_angle
 from aridcal.system.wording import counted, fixed, number, plus_minus
 
@@ -28,21 +28,22 @@ def measuring_head(outcome: Outcome) -> Iterator[Content]:
     yield _misfit(head)
     yield _parameters(head)
     if head.ranges.shape[1]:
-        yield _sonars(head)
-    yield _mount(outcome, head)
+        yield fold("Sonars", _sonars(head))
+    yield fold("How far the camera sits from where head.yaml has it", _mount(outcome, head))
     if head.closed_form is not None:
-        yield from _closed_form(outcome, head.closed_form)
+        shown = list(_closed_form(outcome, head.closed_form))
+        yield fold("The closed form of Doty (1992) on the same poses", shown)
 
 
 def _misfit(head: MeasuringHead) -> Markup:
     """How well image points and ranges of single shots agree."""
-    seen = head.fiducials["shot"]
-    shots = len(set(seen.tolist()))
+    shot_of_fiducial = head.fiducials["shot"]
+    shots = len(set(shot_of_fiducial.tolist()))
     before, after = (number(times) for times in head.misfit)
     return tag(
         "p",
-        f"{counted(shots, 'shot')} with {len(seen) / shots:.0f} fiducials each on average. Once a pose is fitted to a shot, "
-        "its image points and ranges must agree, whatever the arm does. They deviate by "
+        f"{counted(shots, 'shot')} with {len(shot_of_fiducial) / shots:.0f} fiducials each on average. Once a pose is fitted to "
+        "a shot, its image points and ranges must agree, whatever the arm does. They deviate by "
         f"{before} times their stated noise with the head as declared, and by {after} times with the head as identified; "
         "noise alone gives 1.",
     )
@@ -56,7 +57,8 @@ def _parameters(head: MeasuringHead) -> Markup:
             "p", "No parameter of the camera or the sonars needed a correction: all keep their values of head.yaml."
         )
     titles = ["parameter", "as declared", "as identified ± 1σ"]
-    return table(titles, [_line(n) for n in moved], "Identified parameters of the head")
+    shown = table(titles, [_line(n) for n in moved], "Identified parameters of the head")
+    return fold(f"{counted(len(moved), 'identified parameter')} of the head", shown)
 
 
 def _line(n: HeadNumber) -> list[Content]:
@@ -98,9 +100,8 @@ def _mount(outcome: Outcome, head: MeasuringHead) -> Markup:
     return table(["", "change ± 1σ"], lines, caption)
 
 
-def _closed_form(outcome: Outcome, found: ClosedForm) -> Iterator[Content]:
+def _closed_form(outcome: Outcome, closed: ClosedForm) -> Iterator[Content]:
     """The closed form on the same poses, beside the full solution."""
-    yield tag("h3", "The closed form of Doty (1992) on the same poses")
     yield tag(
         "p",
         "Doty (1992), errata corrected: link lengths and angle offsets come from x and y of the end frame, then pitches β "
@@ -108,24 +109,24 @@ def _closed_form(outcome: Outcome, found: ClosedForm) -> Iterator[Content]:
         "camera as known; here it gets those of the full solution. The full solution weights each pose by its own noise, is "
         "exact in the angles, and identifies base, camera and head by itself.",
     )
-    yield _link_table(found)
+    yield _link_table(closed)
     mask, words = scored(outcome)
     lines: list[list[Content]] = []
-    for name, residual in (("closed form", found.residual), ("full solution", outcome.stage("final").residual)):
+    for name, residual in (("closed form", closed.residual), ("full solution", outcome.stage("final").residual)):
         e = errors(residual, mask, outcome.channels)
         lines.append([name, *(number(e[channel.key]["rms"]) for channel in outcome.channels)])
     yield table(["solution", *(channel.title for channel in outcome.channels)], lines, f"RMS on {words}")
 
 
-def _link_table(found: ClosedForm) -> Markup:
+def _link_table(closed_form: ClosedForm) -> Markup:
     """Every link parameter: nominal, by the closed form, by the full solution."""
     lines: list[list[Content]] = []
-    for i in range(len(found.links)):
-        last = i + 1 == len(found.links)
+    for i in range(len(closed_form.links)):
+        last = i + 1 == len(closed_form.links)
         for symbol, column, angle in LINKS:
             if last and symbol not in ("α", "β"):
                 continue  # a_4 is none of the closed form's unknowns, and the full solution has theta_4 in the camera
-            values = [links[i, column] for links in (found.nominal, found.links, found.full)]
+            values = [links[i, column] for links in (closed_form.nominal, closed_form.links, closed_form.full)]
             _, closed, full = values
             cells = [length_or_angle(value, angle) for value in values]
             gap = f"{fixed(1e3 * (closed - full), 3)} {'mrad' if angle else 'mm'}"

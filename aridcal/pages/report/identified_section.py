@@ -15,7 +15,7 @@ from aridcal.jobs.calibrate.folder import frames, parameters
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros
 from aridcal.jobs.calibrate.key_figures import constants, solved_stages
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, codes, table, tag
+from aridcal.pages.drawing.html import Content, codes, fold, table, tag
 from aridcal.pages.drawing.parts import zero_in_words
 from aridcal.pages.report.second_look_section import known
 from aridcal.system.wording import counted, fixed, number, plus_minus
@@ -32,12 +32,14 @@ Parameter = dict[str, Any]
 
 def identifiable(outcome: Outcome) -> Iterator[Content]:
     """Question 2: which parameters are identifiable?"""
-    yield _convergence(outcome)
     redundant = outcome.stage("geometric").fit.redundant
     if not redundant:
         yield tag("p", "All requested parameters are identifiable.")
     else:
         yield from _redundant(redundant)
+    fit = outcome.stage("geometric").fit
+    rank = f"{len(fit.theta):,} of {len(fit.candidates):,} coefficients identified"
+    yield fold(f"{rank}, condition number {number(fit.convergence.condition)}", _convergence(outcome))
     yield from known(outcome)
 
 
@@ -45,11 +47,12 @@ def _redundant(redundant: dict[str, tuple[str, ...]]) -> Iterator[Content]:
     """What keeps its nominal value, and why."""
     yield tag(
         "p",
-        f"{counted(len(redundant), 'redundant coefficient')}: these measurements confound each with those named beside it. "
-        "It keeps its nominal value, and the others contain its error. Predictions of the target lose nothing by this.",
+        f"{counted(len(redundant), 'coefficient')} cannot be told from others by these measurements. Each keeps its nominal "
+        "value, and the others contain its error. Predictions of the target lose nothing by this.",
     )
     lines = [[tag("code", name), _partners(names)] for name, names in redundant.items()]
-    yield table(["keeps its nominal value", "confounded with"], lines, "Redundant coefficients", numbers=2)
+    shown = table(["keeps its nominal value", "confounded with"], lines, "Redundant coefficients", numbers=2)
+    yield fold("What each is confounded with", shown)
 
 
 def _convergence(outcome: Outcome) -> Markup:
@@ -91,41 +94,38 @@ def _partners(names: tuple[str, ...]) -> Content:
 def identified(outcome: Outcome) -> Iterator[Content]:
     """Geometric parameters and frames with their uncertainty."""
     yield from _zeros(outcome)
-    yield from _constants(outcome)
-    yield tag("h3", "Frames")
-    yield tag(
+    yield fold("All constants", list(_constants(outcome)))
+    said = tag(
         "p",
         tag("code", "world_base"), " is the pose of the robot's base in the measured world, ",
         tag("code", "tip_target"), " the pose of the measured target on the tip. Their ± is a twist in the frame's own "
         "axes. Neither is in the URDF.",
-        " No instrument knows a frame of the world here, so that it is the base's own."
+        " No instrument knows a frame of the world here: it is the base's own."
         if not outcome.measurements.direct and not has_world(outcome.measurements)
         else "",
     )  # fmt: skip
-    yield from _frames(outcome)
+    yield fold("Frames of base and target", said, list(_frames(outcome)))
 
 
 def _zeros(outcome: Outcome) -> Iterator[Content]:
     """The joints' zeros among the constants, as those who adjust them call them."""
-    found = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
-    if not found:
+    zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
+    if not zeros:
         return
-    lines: list[list[Content]] = [[zero.joint, codes(zero.names), zero_in_words(zero)] for zero in found]
-    known = {zero.joint for zero in found}
-    rest = [name for name in outcome.robot.readings if name not in known]
-    yield tag("h3", "Joint zeros")
-    yield tag(
+    lines: list[list[Content]] = [[zero.joint, codes(zero.names), zero_in_words(zero)] for zero in zeros]
+    joints = {zero.joint for zero in zeros}
+    rest = [name for name in outcome.robot.readings if name not in joints]
+    said = tag(
         "p",
-        "Where a zero is off by +1 mrad (1 mm of a sliding joint), the joint stands that much beyond its reading. The calibrated "
-        "URDF has it: correct it there or at the controller, not at both.",
-        [" No zero of its own has ", codes(rest), ": the frames of base or target contain it, or it was not asked for."]
+        "A zero that is off by +1 mrad (1 mm of a sliding joint) means that the joint stands that much beyond its reading. "
+        "The calibrated URDF has it: correct it there or at the controller, not at both.",
+        [" The zeros of ", codes(rest), " are contained in the frames of base or target, or were not asked for."]
         if rest
         else "",
     )
-    yield table(
-        ["joint", "constant", "zero off by ± 1σ"], lines, "Zeros of the joints, among the other constants", numbers=2
-    )
-    yield tag("h3", "All constants")
+    head = ["joint", "constant", "zero off by ± 1σ"]
+    shown = table(head, lines, "Zeros of the joints, among the other constants", numbers=2)
+    yield fold(f"Zeros of {counted(len(zeros), 'joint')}", said, shown)
 
 
 def _constants(outcome: Outcome) -> Iterator[Content]:
@@ -200,10 +200,10 @@ def length_or_angle(value: float, angle: bool) -> str:
 def _frames(outcome: Outcome) -> Iterator[Content]:
     """A table for each identified frame."""
     status = {p["name"]: p["status"] for p in parameters(outcome.stage("geometric").fit)}
-    found = frames(outcome.stage("final"))
-    shown = list(found.items())[:MOST_FRAMES]
+    every_frame = frames(outcome.stage("final"))
+    shown = list(every_frame.items())[:MOST_FRAMES]
     yield tag("div", [_frame(name, frame, status) for name, frame in shown], class_="links")
-    rest = len(found) - len(shown)
+    rest = len(every_frame) - len(shown)
     if rest:
         yield tag("p", tag("em", f"and {rest} more; result.json lists them all"))
 
@@ -214,8 +214,8 @@ def _frame(name: str, frame: dict[str, Any], status: dict[str, str]) -> Markup:
     values = [*frame["xyz"], *frame["rpy"]]
     for k, component in enumerate(FRAME_COMPONENTS):
         angle = k >= 3
-        known = status[f"{name}.{component}"]
+        state = status[f"{name}.{component}"]
         unit = "mrad" if angle else "mm"
-        spread = f"{number(1e3 * frame['std'][k], 2)} {unit}" if known == "identified" else known
+        spread = f"{number(1e3 * frame['std'][k], 2)} {unit}" if state == "identified" else state
         lines.append([component, length_or_angle(values[k], angle), spread])
     return table(["", "value", "± 1σ"], lines, tag("code", name))

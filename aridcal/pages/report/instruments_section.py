@@ -14,7 +14,7 @@ from aridcal.engine.instruments.pixels import ON_TIP
 from aridcal.jobs.calibrate.instrument_results import ThingValue, known_scale
 from aridcal.jobs.calibrate.key_figures import row_errors
 from aridcal.jobs.calibrate.outcome import Outcome, leading
-from aridcal.pages.drawing.html import Content, codes, table, tag
+from aridcal.pages.drawing.html import Content, codes, fold, table, tag
 from aridcal.pages.drawing.words import scale_in_words
 from aridcal.system.wording import counted, number, plus_minus, shown_in
 
@@ -25,8 +25,8 @@ MOST_NAMES = 12
 """Constants that are named in a sentence."""
 
 CONSISTENCY = (
-    "Consistency is not accuracy. A small residual here says that these rows agree with one another; it does not say that the "
-    "arm is right where nothing was measured, nor in what these instruments cannot tell."
+    "Consistency is not accuracy: a small residual says that these rows agree with one another, not that the arm is right "
+    "where nothing was measured or in what these instruments cannot tell."
 )
 
 MORE = {
@@ -43,7 +43,7 @@ MORE_WITH_SCALE = {
     "point": "a longer known length, whose σ over its length is the scale's; points with known coordinates, for the world",
     "pixels": "views of the board turned about all axes and at several distances; a board with known place, for the world",
 }
-"""The same where the scale is known already."""
+"""What one more measurement would tell where the scale is known already, by kind."""
 
 BLIND = {
     "point": "rotation of the target about itself; where base and points stand in the world",
@@ -60,17 +60,16 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
     """What was found of the things that measurements refer to."""
     m = outcome.measurements
     yield from _scale(outcome)
-    for role, found in groupby(outcome.things, key=lambda v: v.role):
-        yield from _things(outcome, role, list(found))
-    yield tag("h3", "What these instruments cannot tell")
+    yield tag("p", CONSISTENCY)
+    for role, values in groupby(outcome.things, key=lambda v: v.role):
+        yield from _things(outcome, role, list(values))
     kinds = dict.fromkeys(block.kind for block in m.blocks)
     scaled = known_scale(m) not in (None, np.inf)
     more = MORE | (MORE_WITH_SCALE if scaled else {})
     lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
-        yield table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
-    yield from _untold(outcome)
-    yield tag("p", CONSISTENCY)
+        shown = table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
+        yield fold("What these instruments cannot tell, and what would", shown)
 
 
 def _scale(outcome: Outcome) -> Iterator[Content]:
@@ -87,29 +86,29 @@ def _scale(outcome: Outcome) -> Iterator[Content]:
 
 def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[Content]:
     """All things of one role, each with its place, its rows and its own residual."""
-    yield tag("h3", f"{role.capitalize()}s")
-    found = [list(own) for _, own in groupby(values, key=lambda v: v.name)]
+    things = [list(own) for _, own in groupby(values, key=lambda v: v.name)]
     shown = [
         v
-        for v in found[0]
-        if any(each.status != "fixed" for own in found for each in own if each.component == v.component)
+        for v in things[0]
+        if any(each.status != "fixed" for own in things for each in own if each.component == v.component)
     ]
     components = [v.component for v in shown]
     heads = [f"{v.component} [{shown_in(v.unit)[0]}]" if v.unit else v.component for v in shown]
     errors, unit = _own_errors(outcome, role)
     lines: list[list[Content]] = []
-    for own in sorted(found, key=lambda own: -errors.get(own[0].name, (0.0, 0, 0))[0])[:MOST_THINGS]:
+    for own in sorted(things, key=lambda own: -errors.get(own[0].name, (0.0, 0, 0))[0])[:MOST_THINGS]:
         rms, rows, flagged = errors.get(own[0].name, (np.nan, 0, 0))
         by_name = {v.component: v for v in own}
         cells = [_value(by_name[component]) for component in components]
         lines.append([tag("code", own[0].name), *cells, f"{rows:,}", f"{flagged:,}", number(rms)])
-    known = "as identified, ± 1σ" if shown else "at places that the campaign states"
-    caption = f"{role.capitalize()}s {known}; the worst first"
-    yield table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)
+    places = "as identified, ± 1σ" if shown else "at places that the campaign states"
+    caption = f"{role.capitalize()}s {places}; the worst first"
+    parts: list[Content] = [table([role, *heads, "rows", "outliers", f"own residual RMS [{unit}]"], lines, caption)]
     if role == "camera":
-        yield _carriers(outcome)
-    if len(found) > MOST_THINGS:
-        yield tag("p", tag("em", f"and {len(found) - MOST_THINGS:,} more; result.json lists them all"))
+        parts.append(_carriers(outcome))
+    if len(things) > MOST_THINGS:
+        parts.append(tag("p", tag("em", f"and {len(things) - MOST_THINGS:,} more; result.json lists them all")))
+    yield fold(counted(len(things), role), parts)
     lost = [f"{v.name}.{v.component}" for v in values if v.status == "redundant"]
     if lost:
         rest = len(lost) - MOST_NAMES
@@ -121,7 +120,7 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
 
 
 def _carriers(outcome: Outcome) -> Markup:
-    """What cameras are fixed to: in its frame their places are."""
+    """Which cameras stand on the tip and which in the world: their places are in that frame."""
     cameras = outcome.measurements.instruments.things["camera"]
     on_tip = cameras.start[:, ON_TIP] > 0.5
     said = []
@@ -150,7 +149,7 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
     """Of each thing of a role: RMS of the final residual of its rows, their number and outliers among them; and the unit."""
     m = outcome.measurements
     error = row_errors(outcome.stages[-1].residual, outcome.channels)
-    found: dict[str, tuple[float, int, int]] = {}
+    errors: dict[str, tuple[float, int, int]] = {}
     unit = ""
     for b, (block, channel) in enumerate(zip(m.blocks, leading(m), strict=True)):
         names = [each.name for each in KINDS[block.kind].roles]
@@ -164,19 +163,5 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
         every, wild, used = (np.bincount(thing[some], minlength=len(labels)) for some in (slice(None), flagged, sound))
         total = np.bincount(thing[sound], square[sound], minlength=len(labels))
         rms = np.sqrt(np.where(used > 0, total / np.maximum(used, 1), np.nan))
-        found |= dict(zip(labels.tolist(), zip(rms.tolist(), every.tolist(), wild.tolist(), strict=True), strict=True))
-    return found, unit
-
-
-def _untold(outcome: Outcome) -> Iterator[Content]:
-    """Which constants of this arm these rows leave nominal."""
-    redundant = list(outcome.stage("geometric").fit.redundant)
-    if not redundant:
-        yield tag("p", "Of the constants that were asked for, these rows tell all.")
-        return
-    rest = len(redundant) - MOST_NAMES
-    yield tag(
-        "p",
-        f"Of this arm's constants and frames {len(redundant)} keep their nominal value, because these rows cannot tell them "
-        "from others (section 2 names those): ", codes(redundant[:MOST_NAMES]), f" and {rest} more" if rest > 0 else "", ".",
-    )  # fmt: skip
+        errors |= dict(zip(labels.tolist(), zip(rms.tolist(), every.tolist(), wild.tolist(), strict=True), strict=True))
+    return errors, unit

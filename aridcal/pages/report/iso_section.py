@@ -21,24 +21,24 @@ from aridcal.engine.trust.iso9283 import (
     applies,
 )
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, table, tag
+from aridcal.pages.drawing.html import Content, fold, table, tag
 from aridcal.system.wording import counted, number
 
-MOST = 30
+MOST_POSES = 30
 """Poses that the table lists."""
 
 
 def iso(outcome: Outcome) -> Iterator[Content]:
     """Accuracy and repeatability by the standard's definitions, before and after."""
-    found = outcome.iso
-    if found is None:
+    figures = outcome.iso
+    if figures is None:
         yield tag("p", _why_not(outcome))
         return
-    yield tag("p", what_was_made(found))
-    yield _summary(found)
-    yield tag("p", _definitions(found))
-    yield _poses(found, outcome)
-    yield tag("p", tag("em", _left_out(found, len(found.cycles))))
+    yield tag("p", what_was_made(figures))
+    yield fold("Worst figures, before and after", _summary(figures), tag("p", _definitions(figures)))
+    yield fold(
+        "Figures of each pose", _poses(figures, outcome), tag("p", tag("em", _left_out(figures, len(figures.cycles))))
+    )
 
 
 def _why_not(outcome: Outcome) -> str:
@@ -54,70 +54,70 @@ def _why_not(outcome: Outcome) -> str:
     )
 
 
-def what_was_made(found: Iso9283) -> str:
+def what_was_made(figures: Iso9283) -> str:
     """How many cycles of how many poses, and whether that is what the standard asks for."""
-    counts = found.counts
+    counts = figures.counts
     few, many = int(counts.min()), int(counts.max())
     cycles = counted(few, "cycle") if few == many else f"{few} to {counted(many, 'cycle')}"
-    made = f"{counted(len(counts), 'pose')}, {cycles} of each."
-    asked = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
-    if not found.enough:
+    poses = f"{counted(len(counts), 'pose')}, {cycles} of each."
+    standard = f"{ASKED_CYCLES} cycles of {ASKED_POSES} poses"
+    if not figures.enough:
         small = (
             f" Of fewer than {ENOUGH_CYCLES} cycles RP comes out too small on average, of 3 by a quarter; of two it is not told."
             if few < ENOUGH_CYCLES
             else ""
         )
-        return f"{made} {STANDARD} asks for {asked}: these are figures by its definitions, not tests to it.{small}"
+        return f"{poses} {STANDARD} asks for {standard}: these are figures by its definitions, not tests to it.{small}"
     return (
-        f"{made} That is as many as {STANDARD} asks for ({asked}). Whether its other conditions were kept (the cube and its "
+        f"{poses} That is as many as {STANDARD} asks for ({standard}). Whether its other conditions were kept (the cube and its "
         "plane, load, speed, warm-up) the rows do not tell: these are figures by its definitions."
     )
 
 
-def lines(found: Iso9283) -> list[tuple[str, str, str, str, str]]:
+def lines(figures: Iso9283) -> list[tuple[str, str, str, str, str]]:
     """Each characteristic that the rows tell: symbol, meaning with the clause, which poses the worst is of, before, after."""
-    made = []
+    rows = []
     for symbol, (meaning, clause) in MEANINGS.items():
-        of = _which(found, symbol)
-        before, after = _worst(found, symbol)
+        of = _which(figures, symbol)
+        before, after = _worst(figures, symbol)
         if not np.isnan(after):
-            made.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
-        turns = [_worst(found, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in found.final]
+            rows.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
+        turns = [_worst(figures, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in figures.final]
         if turns and not np.isnan(turns).any():
             first, last = (", ".join(number(turn[k]) for turn in turns) for k in (0, 1))
             about = f"{symbol} {', '.join(TURNS)}"
-            made.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
-    return made
+            rows.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
+    return rows
 
 
-def _which(found: Iso9283, symbol: str) -> str:
+def _which(figures: Iso9283, symbol: str) -> str:
     """The poses or pairs that the worst figure is of: ``1 held-out pose``, ``15 pairs, fitted``."""
-    mask = found.judged(symbol) & ~np.isnan(found.final[symbol])
+    mask = figures.judged(symbol) & ~np.isnan(figures.final[symbol])
     what = "pair" if symbol in OF_PAIRS else "pose"
     if symbol not in OF_FIT:
         return counted(int(mask.sum()), what)
-    new = found.held_out[found.pairs].all(axis=1) if symbol in OF_PAIRS else found.held_out
+    new = figures.held_out[figures.pairs].all(axis=1) if symbol in OF_PAIRS else figures.held_out
     return counted(int(mask.sum()), f"held-out {what}") if new.any() else f"{counted(int(mask.sum()), what)}, fitted"
 
 
-def _worst(found: Iso9283, symbol: str) -> tuple[float, float]:
+def _worst(figures: Iso9283, symbol: str) -> tuple[float, float]:
     """Before and after, [mm] or [mrad]."""
-    return 1e3 * found.worst(found.nominal, symbol), 1e3 * found.worst(found.final, symbol)
+    return 1e3 * figures.worst(figures.nominal, symbol), 1e3 * figures.worst(figures.final, symbol)
 
 
-def _summary(found: Iso9283) -> Markup:
+def _summary(figures: Iso9283) -> Markup:
     """The worst of each characteristic, before and after."""
     head = ["symbol", "characteristic (clause)", "worst of", "nominal", "final"]
-    return table(head, lines(found), f"Figures of {STANDARD}", numbers=3)
+    return table(head, lines(figures), f"Figures of {STANDARD}", numbers=3)
 
 
-def _definitions(found: Iso9283) -> str:
+def _definitions(figures: Iso9283) -> str:
     """What is commanded and attained, and what is special about drift."""
-    hours = found.hours[~np.isnan(found.hours)]
+    hours = figures.hours[~np.isnan(figures.hours)]
     lasted = (
         f" Drift is between the first and the last cycles of a pose (at most {ENOUGH_CYCLES} each), over "
         f"{number(float(hours.max()), 2)} h; the standard asks for {ASKED_HOURS:g} h."
-        if not np.isnan(found.final["dAP"]).all()
+        if not np.isnan(figures.final["dAP"]).all()
         else ""
     )
     return (
@@ -130,17 +130,17 @@ def _definitions(found: Iso9283) -> str:
     )
 
 
-def _poses(found: Iso9283, outcome: Outcome) -> Markup:
+def _poses(iso9283: Iso9283, outcome: Outcome) -> Markup:
     """Each pose with its figures."""
     m = outcome.measurements
     rows = []
-    for k, group in enumerate(found.cycles[:MOST]):
+    for k, group in enumerate(iso9283.cycles[:MOST_POSES]):
         first = group[0]
-        axes = ", ".join(number(1e3 * float(found.final[f"AP_{axis}"][k]), 2) for axis in "xyz")
-        figures = (found.nominal["AP"], found.final["AP"], found.nominal["RP"], found.final["RP"])
+        axes = ", ".join(number(1e3 * float(iso9283.final[f"AP_{axis}"][k]), 2) for axis in "xyz")
+        figures = (iso9283.nominal["AP"], iso9283.final["AP"], iso9283.nominal["RP"], iso9283.final["RP"])
         rows.append([
             f"{m.origin.files[m.origin.file[first]].name}, line {m.origin.line[first]}",
-            "held out" if found.held_out[k] else "fitted",
+            "held out" if iso9283.held_out[k] else "fitted",
             f"{len(group):,}",
             *(number(1e3 * float(values[k])) for values in figures),
             axes,
@@ -149,18 +149,18 @@ def _poses(found: Iso9283, outcome: Outcome) -> Markup:
     return table(head, rows, "Pose by pose [mm]", numbers=2)
 
 
-def _left_out(found: Iso9283, poses: int) -> str:
+def _left_out(figures: Iso9283, poses: int) -> str:
     """What the table and the figures leave out."""
     said = []
-    if poses > MOST:
-        said.append(f"{poses - MOST:,} more poses are in result.json.")
-    if len(found.pairs):
-        pairs = counted(len(found.pairs), "pair")
+    if poses > MOST_POSES:
+        said.append(f"{poses - MOST_POSES:,} more poses are in result.json.")
+    if len(figures.pairs):
+        pairs = counted(len(figures.pairs), "pair")
         said.append(f"{' and '.join(OF_PAIRS)} are of the {pairs} of poses at one station; result.json has each.")
-    if found.copies:
+    if figures.copies:
         said.append(
-            f"{counted(found.copies, 'row')} with the same measurement bit for bit as another cycle: no cycles."
+            f"{counted(figures.copies, 'row')} with the same measurement bit for bit as another cycle: no cycles."
         )
-    if found.flagged:
-        said.append(f"{counted(found.flagged, 'row')} flagged as outliers: left out.")
+    if figures.flagged:
+        said.append(f"{counted(figures.flagged, 'row')} flagged as outliers: left out.")
     return " ".join(said)

@@ -9,8 +9,8 @@ from markupsafe import Markup
 from aridcal.jobs.calibrate.controllers import INDEX, Export, Handover
 from aridcal.jobs.calibrate.key_figures import narrow_joints
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, bullets, codes, table, tag
-from aridcal.pages.drawing.words import per_number, sigmas_in_words
+from aridcal.pages.drawing.html import Content, bullets, codes, fold, table, tag
+from aridcal.pages.drawing.words import next_command, per_number, sigmas_in_words
 from aridcal.pages.report.workspace_section import workspace
 from aridcal.system.wording import number, range_in_words
 
@@ -18,8 +18,7 @@ from aridcal.system.wording import number, range_in_words
 AT_TIP = ("tip_target.", "tip_target[")
 
 JOINT_VALUES = (
-    "The calibration is valid for the kind of joint values in the table. Reported and commanded joint values of real arms "
-    "differ by 0.1 to 0.2 mrad: use the kind that was recorded here."
+    "Use the kind of joint values that was recorded here: reported and commanded ones differ by 0.1 to 0.2 mrad."
 )
 
 
@@ -33,32 +32,35 @@ THING_MOVED: list[Content] = [
 def limits(outcome: Outcome) -> Iterator[Content]:
     """Question 6: where does the calibration hold?"""
     yield bullets([_outside(outcome), _uncertainty(outcome), JOINT_VALUES])
-    yield from workspace(outcome)
-    yield tag("h3", "What to measure again after a change")
-    yield _after_a_change(bool(outcome.things))
     hidden = _inside_the_target(outcome)
     if hidden:
         yield tag(
             "p",
-            "Part of the errors of ", codes(hidden), " is contained in ", tag("code", "tip_target"), ", with which they "
-            "are confounded. The pose of the measuring target is calibrated, but the pose of the bare tip link is only as "
-            "accurate as the nominal URDF.",
+            "The pose of the measuring target is calibrated, that of the bare tip link is only as accurate as the nominal URDF: "
+            "part of the errors of ", codes(hidden), " is contained in ", tag("code", "tip_target"), ".",
         )  # fmt: skip
+    yield from workspace(outcome)
+    yield fold("What to measure again after a change", _after_a_change(bool(outcome.things)))
 
 
-def _outside(outcome: Outcome) -> str:
-    """On extrapolation."""
+def _outside(outcome: Outcome) -> Content:
+    """Joints of which less than half of the range was measured, and what the model does outside."""
     ranges = [f"{j.name} ({range_in_words(j.seen, j.kind)})" for j in narrow_joints(outcome)]
     measured = (
         f"Less than half of the range was measured of: {', '.join(ranges)}."
         if ranges
         else "At least half of every joint's range was measured."
     )
-    return f"Outside the joint ranges of section 3 the model extrapolates; aridcal.predict marks such rows. {measured}"
+    predict = tag("code", "aridcal predict")
+    return [
+        f"{measured} Outside of what was measured (section 3) the model extrapolates; ",
+        predict,
+        " marks such rows.",
+    ]
 
 
 def _uncertainty(outcome: Outcome) -> str:
-    """On what each standard deviation covers."""
+    """What each standard deviation covers, and what it does not."""
     noise = f"{sigmas_in_words(outcome.scatter, outcome.channels)} {per_number(outcome)}"
     source = (
         "as declared in the campaign"
@@ -66,9 +68,8 @@ def _uncertainty(outcome: Outcome) -> str:
         else "estimated from the residuals, so that errors which the model lacks widen every ±"
     )
     return (
-        f"Each ± is one standard deviation caused by the measurement noise of {noise}, {source}. It does not "
-        "include systematic errors of the instrument (scale, levelling), later changes of the robot, or loads and "
-        "temperatures other than those measured."
+        f"Each ± is one standard deviation caused by the measurement noise of {noise}, {source}. Not in it: systematic errors "
+        "of the instrument (scale, levelling), later changes of the robot, other loads and temperatures."
     )
 
 
@@ -109,16 +110,18 @@ def _after_a_change(things: bool) -> Markup:
 def _inside_the_target(outcome: Outcome) -> list[str]:
     """Where those coefficients act that are confounded with the target's frame, in alphabetical order."""
     redundant = outcome.stage("geometric").fit.redundant
-    found = set()
+    places = set()
     for name, partners in redundant.items():
         if not name.startswith(AT_TIP) and any(partner.startswith(AT_TIP) for partner in partners):
-            found.add(name.rsplit(".", 1)[0])
-    return sorted(found)
+            places.add(name.rsplit(".", 1)[0])
+    return sorted(places)
 
 
 def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozenset()) -> Iterator[Content]:
     """Which file is for what; those beside the page are links."""
-    yield _files(handover, bool(outcome.effects), beside)
+    following = next_command(outcome, handover, "results")
+    if following:
+        yield tag("p", "Next: ", tag("code", following))
     lines: list[list[Content]] = []
     for export in handover.exports:
         distance = f"{number(1e3 * export.apart)} mm"
@@ -126,6 +129,7 @@ def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozense
         lines.append([export.name, named, _error(handover, export), distance])
     head = ["what your controller gets", "files", f"{handover.channel.name} RMS", "distance from the full model"]
     yield table(head, lines, f"Exports for controllers, on {handover.rows}", numbers=2)
+    yield fold("What each file is for", _files(handover, bool(outcome.effects), beside))
 
 
 def linked(file: str, beside: Collection[str]) -> Markup:

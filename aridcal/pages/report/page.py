@@ -41,7 +41,7 @@ def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Pro
     Returns:
         Notices: what could not be drawn, and why.
     """
-    beside = {found.name for found in path.parent.iterdir()}
+    beside = {file.name for file in path.parent.iterdir()}
     with noting() as notices:
         text = attempt(
             "report.html",

@@ -13,7 +13,7 @@ from aridcal.engine.trust.cross_validation import DECIDES, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.html import Content, bullets, table, tag
+from aridcal.pages.drawing.html import Content, bullets, fold, table, tag
 from aridcal.pages.drawing.parts import (
     combination_in_words,
     constant_in_words,
@@ -37,17 +37,16 @@ def halves(outcome: Outcome) -> Iterator[Content]:
     looked = outcome.second_look
     if looked is None:
         return
-    yield tag("h3", "Halves of the rows, fitted apart")
-    found = {name: each for name, each in looked.halves.items() if each is not None}
-    if not found:
+    comparisons = {name: each for name, each in looked.halves.items() if each is not None}
+    if not comparisons:
         yield tag("p", TOO_FEW)
         return
-    last = list(found.values())[-1]
-    yield tag(
+    last = list(comparisons.values())[-1]
+    title = f"Halves of the rows, fitted apart: they {'agree' if last.agree else 'disagree'} ({p_of_halves(last)})"
+    said = tag(
         "p",
-        f"The rows are divided into halves in {last.divisions} ways, each by blocks of a reading, a load, another column or "
-        "time; constants and effects are fitted to each half apart. Noise is independent in both; what the model lacks is not. "
-        f"{_judgement(last)}",
+        f"The rows are divided into halves in {last.divisions} ways: by blocks of a reading, a load, another column or time. "
+        f"Constants and effects are fitted to each half apart. {_judgement(last)}",
     )
     placed = known_scale(outcome.measurements) is not None
     head = [
@@ -57,24 +56,25 @@ def halves(outcome: Outcome) -> Iterator[Content]:
         "chance that noise does it",
     ]
     lines = []
-    for name, each in found.items():
+    for name, each in comparisons.items():
         line: list[Content] = [name, division_in_words(each.of, each.how), number(each.squares), p_of_halves(each)]
         lines.append([*line, number(1e3 * each.measured), number(1e3 * each.expected)] if placed else line)
-    yield table(
+    shown = table(
         [*head, "at the target [mm]", "of that from noise [mm]"] if placed else head,
         lines,
         "Halves fitted apart, both frames moved so that the two agree best",
         numbers=2,
     )
+    yield fold(title, said, shown)
 
 
-def _judgement(found: Halves) -> str:
+def _judgement(comparison: Halves) -> str:
     """What the halves of the final model say."""
-    if found.agree:
-        return f"Noise explains what differs ({p_of_halves(found)})."
+    if comparison.agree:
+        return f"Noise explains what differs ({p_of_halves(comparison)})."
     return (
-        f"Noise does not explain what differs ({p_of_halves(found)}): the model lacks something that "
-        f"{division_in_words(found.of, found.how)} feel unequally."
+        f"Noise does not explain what differs ({p_of_halves(comparison)}): the model lacks something that "
+        f"{division_in_words(comparison.of, comparison.how)} feel unequally."
     )
 
 
@@ -84,11 +84,9 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
     if looked is None:
         return
     if looked.folds is not None:
-        yield tag("h3", "Rows left out in turn")
-        yield tag(
+        said = tag(
             "p",
-            f"{BLOCKS} parts of the fitted rows are predicted in turn by a fit to the others: what the calibration does on rows "
-            "that it does not know, without holding any back for good. Effects stay those that were found.",
+            f"{BLOCKS} parts of the fitted rows are predicted in turn by a fit to the other parts. The effects stay the same.",
         )
         channels = [(k, c) for k, c in enumerate(outcome.channels) if not c.inner]
         lines = []
@@ -97,58 +95,63 @@ def left_out(outcome: Outcome) -> Iterator[Content]:
                 c.scale * float(v[k]) for v in (looked.folds.mean, looked.folds.spread, looked.folds.fitted)
             )
             lines.append([c.title, number(mean), number(spread, 2), number(fitted)])
-        yield table(
-            ["RMS", "rows left out", "± from part to part", "the same rows, fitted"], lines, "Error of rows left out"
-        )
+        head = ["RMS", "rows left out", "± from part to part", "the same rows, fitted"]
+        k, first = channels[0]
+        title = f"Rows left out in turn: {number(first.scale * float(looked.folds.mean[k]))} {first.shown} RMS"
+        yield fold(title, said, table(head, lines, "Error of rows left out"))
     placed = known_scale(outcome.measurements) is not None
     if looked.influence is not None and len(looked.influence.rows) and placed:
-        yield from _influence(outcome, looked.influence)
+        yield _influence(outcome, looked.influence)
 
 
-def _influence(outcome: Outcome, found: Influence) -> Iterator[Content]:
+def _influence(outcome: Outcome, influence: Influence) -> Markup:
     """The rows without which the predicted target moves most."""
-    yield tag("h3", "Rows that decide")
-    count = len(found.deciding)
-    largest = f"The one that moves it most does so by {number(1e3 * found.shift[0], 2)} mm"
-    own = f"the target is known to {number(1e3 * found.sigma, 2)} mm (1σ, three axes)"
+    count = len(influence.deciding)
+    largest = f"The one that moves it most does so by {number(1e3 * influence.shift[0], 2)} mm"
+    own = f"the target is known to {number(1e3 * influence.sigma, 2)} mm (1σ, three axes)"
     what = "Each row is left out, all others are fitted: how far does the predicted target move, RMS over all rows? "
     if count:
-        yield tag(
-            "p",
-            f"{what}{counted(count, 'row')} by more than {DECIDES:g}σ. {largest}; {own}. Measure near these again.",
-            class_="look",
-        )
+        title = f"{counted(count, 'row')} {'moves' if count == 1 else 'move'} the target by more than {DECIDES:g}σ"
+        said = tag("p", f"{what}{largest}; {own}. Measure near these again.", class_="look")
     else:
-        yield tag("p", f"{what}No single row decides. {largest}; {own}.")
+        title = f"No single row moves the target by more than {DECIDES:g}σ"
+        said = tag("p", f"{what}{largest}; {own}.")
     m = outcome.measurements
     train = np.flatnonzero(m.train)
     lines = []
-    for i in range(min(MOST_ROWS, len(found.rows))):
-        k = int(train[found.rows[i]])
-        shift, share = 1e3 * float(found.shift[i]), float(found.shift[i]) / max(found.sigma, np.finfo(float).tiny)
+    for i in range(min(MOST_ROWS, len(influence.rows))):
+        k = int(train[influence.rows[i]])
+        shift, share = (
+            1e3 * float(influence.shift[i]),
+            float(influence.shift[i]) / max(influence.sigma, np.finfo(float).tiny),
+        )
         lines.append([
             row_place(m, k), number(shift, 2), number(share, 2),
-            number(float(found.leverage[i]), 2), number(float(found.cook[i]), 2),
+            number(float(influence.leverage[i]), 2), number(float(influence.cook[i]), 2),
         ])  # fmt: skip
     head = ["row", "shift of the target [mm]", "in σ of the target", "leverage", "Cook's distance"]
-    yield table(head, lines, "The rows that move the target most")
+    return fold(title, said, table(head, lines, "The rows that move the target most"))
 
 
 def known(outcome: Outcome) -> Iterator[Content]:
     """Combinations of constants from the best known to the worst, and minimal sets."""
-    found = None if outcome.second_look is None else outcome.second_look.known
-    if found is None:
+    constants = None if outcome.second_look is None else outcome.second_look.known
+    if constants is None:
         return
     robot = outcome.robot
-    yield tag("h3", "What these rows tell of the constants")
-    yield bullets([pair_in_words(pair, robot) for pair in found.pairs[:MOST_PAIRS]])
-    yield _combinations(outcome, found)
-    yield from _minimal(outcome, found)
+    yield fold(
+        "How well combinations of constants are known",
+        bullets([pair_in_words(pair, robot) for pair in constants.pairs[:MOST_PAIRS]]) if constants.pairs else "",
+        _combinations(outcome, constants),
+    )
+    yield fold(
+        f"A minimal identifiable set of {counted(len(constants.names), 'constant')}", list(_minimal(outcome, constants))
+    )
 
 
-def _combinations(outcome: Outcome, found: Known) -> Markup:
+def _combinations(outcome: Outcome, constants: Known) -> Markup:
     """The two ends of the list of combinations."""
-    every = found.combinations
+    every = constants.combinations
     shown = range(len(every))
     if len(every) > 2 * AT_AN_END + 1:
         shown = [*range(AT_AN_END), *range(len(every) - AT_AN_END, len(every))]  # type: ignore[assignment]
@@ -169,24 +172,23 @@ def _sigma(of: Combination) -> str:
     return f"{number(1e3 * of.std, 2)} {unit}"
 
 
-def _minimal(outcome: Outcome, found: Known) -> Iterator[Content]:
+def _minimal(outcome: Outcome, constants: Known) -> Iterator[Content]:
     """A minimal identifiable set, and which constants could stay nominal."""
     robot = outcome.robot
-    named = ", ".join(constant_in_words(name, robot) for name in found.names)
+    named = ", ".join(constant_in_words(name, robot) for name in constants.names)
     yield tag(
         "p",
-        f"A minimal identifiable set: {named}. Whatever else was requested moves nothing beside these {len(found.names)}, "
-        "and can be fixed at nominal without loss.",
+        f"{named}. All other requested constants can be fixed at nominal without loss.",
     )
-    if not found.spare:
-        yield tag("p", "None of them could stay nominal: these rows are predicted worse without any.")
+    if not constants.spare:
+        yield tag("p", "None of them could stay nominal: without any one these rows are predicted worse.")
         return
-    spare = ", ".join(constant_in_words(name, robot) for name in found.spare)
+    spare = ", ".join(constant_in_words(name, robot) for name in constants.spare)
     yield tag(
         "p",
-        f"{_how_many(len(found.spare))}, as far as these rows can tell: {spare}. The predicted target "
-        f"then moves by {number(1e3 * found.shift, 2)} mm RMS; it is known to "
-        f"{number(1e3 * found.sigma, 2)} mm (1σ, three axes).",
+        f"{_how_many(len(constants.spare))}, as far as these rows can tell: {spare}. The predicted target "
+        f"then moves by {number(1e3 * constants.shift, 2)} mm RMS; it is known to "
+        f"{number(1e3 * constants.sigma, 2)} mm (1σ, three axes).",
     )
 
 

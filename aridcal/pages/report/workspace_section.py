@@ -11,19 +11,17 @@ from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.workspace import Workspace
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.fields import color_steps, field
-from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.drawing.words import kept_in_words
+from aridcal.pages.drawing.html import Content, figures, fold, table, tag
 from aridcal.system.wording import number
 
 
 def workspace(outcome: Outcome) -> Iterator[Content]:
     """Pictures of slices, a table of the whole range and of the region, and what is kept within."""
-    known = outcome.certainty
-    if known is None:
+    certainty = outcome.certainty
+    if certainty is None:
         return
-    yield tag("h3", "How well the target is known over the workspace")
-    lines = [_line("the joints' whole range", known.anywhere), _line(known.title, known.region)]
-    if not any(part.told.any() for part in (known.anywhere, known.region)):
+    lines = [_line("the joints' whole range", certainty.anywhere), _line(certainty.title, certainty.region)]
+    if not any(part.told.any() for part in (certainty.anywhere, certainty.region)):
         yield tag("p", "No reading tells where the target is: a part of what moves it is seen by no instrument.")
         return
     head = [
@@ -34,25 +32,32 @@ def workspace(outcome: Outcome) -> Iterator[Content]:
         "where, base frame [m]",
         "measured",
     ]
-    yield table(head, lines, "Uncertainty of the target over the workspace")
-    yield figures(_slices(known))
-    yield tag(
+    said = tag(
         "p",
         "Each dot is a configuration within the joints' limits that brings the target near the plane. A dot with a hole was not "
-        "measured: outside the ranges seen, or where the prediction is three times as uncertain as at any fitted row. What the "
-        "model lacks there, nobody knows. The sigmas are those of the calibration; errors beyond it are in what follows.",
+        "measured: it is outside the measured ranges, or its prediction is three times as uncertain as at any fitted row. What "
+        "the model lacks there, nobody knows.",
     )
-    yield bullets([sentence for asked in (True, False) for _, sentence in kept_in_words(outcome, asked)])
-    for part in known.kept:
+    shown = table(head, lines, "Uncertainty of the target over the workspace")
+    sure = certainty.anywhere.sigma[certainty.anywhere.told]
+    median = f": median {number(1e3 * float(np.median(sure)))} mm" if len(sure) else ""
+    yield fold(f"1σ of the target over the workspace{median}", shown, figures(_slices(certainty)), said)
+    parts = list(_parts_of_bounds(certainty))
+    if parts:
+        yield fold(f"What the errors in {certainty.title} consist of", parts)
+
+
+def _parts_of_bounds(certainty: Certainty) -> Iterator[Markup]:
+    """What each bound of the first screen consists of: the calibration's uncertainty, and what held-out rows leave beyond."""
+    for part in certainty.kept:
         if not part.rows or np.isnan(part.calibration):
             continue
         unit = "mrad" if part.of == "rotation" else "mm"
         sure, rest = (f"{number(1e3 * size)} {unit}" for size in (part.calibration, part.beyond))
         yield tag(
             "p",
-            f"{part.of.capitalize()}: there the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
-            f"{rest} RMS beyond that and beyond the instrument's declared noise: what the model lacks, and what the arm does not "
-            "repeat.",
+            f"{part.of.capitalize()}: the calibration's own uncertainty is {sure} RMS. {part.judges.capitalize()} leave "
+            f"{rest} RMS beyond it and the instrument's declared noise: what the model lacks, and what the arm does not repeat.",
             *(f" Note: {remark}." for remark in part.remarks),
         )
 
@@ -68,14 +73,14 @@ def _line(title: str, part: Workspace) -> list[Content]:
     return [title, *(number(float(value)) for value in shown), where, f"{100 * part.measured.mean():.0f} %"]
 
 
-def _slices(known: Certainty) -> list[tuple[Content, Markup]]:
+def _slices(certainty: Certainty) -> list[tuple[Content, Markup]]:
     """A picture of each slice."""
     drawn: list[tuple[Content, Markup]] = []
-    told = [(cut, cut.workspace.select(cut.workspace.told)) for cut in known.slices if cut.workspace.told.any()]
-    if not told:
+    parts = [(cut, cut.workspace.select(cut.workspace.told)) for cut in certainty.slices if cut.workspace.told.any()]
+    if not parts:
         return drawn
-    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in told]))
-    for cut, part in told:
+    colors = color_steps(1e3 * np.concatenate([part.sigma for _, part in parts]))
+    for cut, part in parts:
         first, second = ("xyz"[axis] for axis in cut.axes)
         across = "xyz"[3 - sum(cut.axes)]
         what = f"1σ of the target, worst direction, {first}–{second} plane at {across} = {cut.at:.2f} m"
