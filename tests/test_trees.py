@@ -235,7 +235,8 @@ def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, mo
     )
     columns = {f"w_{side}": mass for side, mass in masses.items()}
     payload = [{"column": f"w_{side}", "on": f"{side}_hand"} for side in masses]
-    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload)
+    sought = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]}
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload, diagnosis=sought)
     pd.read_csv(tmp_path / "tracker.csv").assign(**columns).to_csv(tmp_path / "tracker.csv", index=False)
     found = aridcal.calibrate(path)
     effects = {(e["kind"], e["where"]): e["coefficients"][0] for e in found.result["effects"]}
@@ -308,7 +309,7 @@ def test_a_column_that_payload_names_may_stand_under_columns_too(tmp_path: Path)
 
 def test_a_row_needs_the_joints_of_its_own_path_alone(tmp_path: Path) -> None:
     robot = two_arms.machine()
-    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 60))
+    path = two_arms.write(tmp_path, robot, ("tracker",), readings(robot, 60), diagnosis={"enabled": False})
     table = pd.read_csv(tmp_path / "tracker.csv")
     assert table["right_j3"].isna().sum() == 30  # of rows that see the left hand
     table.loc[table["target"] == "right", "right_j3"] = table.loc[table["target"] == "right", "right_j3"].where(
