@@ -115,13 +115,13 @@ def numbers_written(value: str) -> list[float]:
     return [10.0 ** float(part[1]) if part[1] else float(part[2]) for part in parts if part]
 
 
-@pytest.mark.parametrize("module, name", sorted(thresholds()))
-def test_a_threshold_in_the_documents_is_that_of_the_code(module, name):
-    value, constant = thresholds()[module, name], numbers_of(getattr(module_of(module), name))
-    if span := re.fullmatch(r"(\S+) … (\S+) \((\d+)\)", value.strip()):
-        assert len(constant) == int(span[3])
-        constant, value = [constant[0], constant[-1]], f"{span[1]}, {span[2]}"
-    np.testing.assert_allclose(constant, numbers_written(value), rtol=1e-12)
+def test_thresholds_in_the_documents_are_those_of_the_code():
+    for (module, name), value in thresholds().items():
+        constant = numbers_of(getattr(module_of(module), name))
+        if span := re.fullmatch(r"(\S+) … (\S+) \((\d+)\)", value.strip()):
+            assert len(constant) == int(span[3]), (module, name)
+            constant, value = [constant[0], constant[-1]], f"{span[1]}, {span[2]}"
+        np.testing.assert_allclose(constant, numbers_written(value), rtol=1e-12, err_msg=f"{module}: {name}")
 
 
 def constants_of(module: str) -> dict[str, str]:

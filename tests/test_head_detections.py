@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import chdir
 from pathlib import Path
 
 import cv2
@@ -26,6 +27,7 @@ from aridcal.jobs.head1992.render import Optics
 from aridcal.jobs.simulate.simulation import named_constants
 from aridcal.jobs.simulate.viewpoints import draw_views
 from aridcal.system.progress import Progress
+from notebooks import FOLDER, ran
 
 EVERY = 6  # of the shipped shots
 CAMERA = np.array([[700, 0, 255.5], [0, 700, 255.5], [0, 0, 1]])
@@ -84,7 +86,7 @@ def test_a_second_run_needs_the_images_no_more_and_says_the_same(folder, capsys)
 
 def test_fiducials_are_looked_for_again_with_the_lens_that_was_found(tmp_path, capsys):
     """Second road: the same images read with a head.yaml that is right."""
-    folder = some_of_the_shots(tmp_path, 4)
+    folder = some_of_the_shots(tmp_path, EVERY)
     right = read(folder)[0].detections.fiducials
     head = folder / "head.yaml"
     head.write_text(head.read_text().replace("\ncamera: {", "\ncamera: {distortion: [0.15, 0, 0, 0, 0], "))
@@ -179,9 +181,12 @@ def test_ranges_and_squares_are_no_covariates_but_other_columns_are(folder):
 
 @pytest.fixture(scope="module")
 def shipped(tmp_path_factory) -> Path:
-    out = tmp_path_factory.mktemp("strip") / "results"
-    assert main([str(STRIP / "campaign.yaml"), "--out", str(out)]) == 0
-    return out
+    """The results of the notebook that calibrates it, which runs and says what it promises."""
+    home = tmp_path_factory.mktemp("strip")
+    found = ran("2-calibrate-the-arid", home)["cal"]
+    with chdir(FOLDER):
+        found.save(home / "results")
+    return home / "results"
 
 
 def truth() -> dict:

@@ -71,16 +71,16 @@ CASES = {
         {"kind": "range_error", "where": "laser", "coefficients": 5e-4}, {},
     ),
     "a wire's scale": Case(
-        {"kind": "distance"}, WIRES, 240, {"kind": "distance_scale", "where": "w2", "coefficients": 1e-3}, {}
+        {"kind": "distance"}, WIRES, 160, {"kind": "distance_scale", "where": "w2", "coefficients": 1e-3}, {}
     ),
     "a wire's range": Case(
-        {"kind": "distance"}, WIRES, 240, {"kind": "range_error", "where": "w2", "coefficients": 8e-4}, {}
+        {"kind": "distance"}, WIRES, 160, {"kind": "range_error", "where": "w2", "coefficients": 8e-4}, {}
     ),
     "a wire's sag": Case(
-        {"kind": "distance"}, WIRES, 240, {"kind": "wire_sag", "where": "w2", "coefficients": 3e-4}, {}
+        {"kind": "distance"}, WIRES, 160, {"kind": "wire_sag", "where": "w2", "coefficients": 3e-4}, {}
     ),
     "a bent plate": Case(
-        {"kind": "plane"}, PLATES, 240,
+        {"kind": "plane"}, PLATES, 160,
         {"kind": "flatness", "where": "table", "coefficients": [2e-3, -1e-3, 3e-3]}, {"gauge": 0.02},
     ),
     "a lens": Case(
@@ -88,12 +88,12 @@ CASES = {
         {"kind": "lens_distortion", "where": "eye", "motion": "k1", "coefficients": -0.02}, {},
     ),
     "a wire's anchor that was knocked": Case(
-        {"kind": "distance"}, WIRES, 240,
-        {"kind": "shift", "where": "w2", "coefficients": [2e-3, -1e-3, 1e-3, 5e-4], "at": {"row": 121}}, {},
+        {"kind": "distance"}, WIRES, 160,
+        {"kind": "shift", "where": "w2", "coefficients": [2e-3, -1e-3, 1e-3, 5e-4], "at": {"row": 81}}, {},
     ),
     "a plate that was knocked": Case(
-        {"kind": "plane"}, PLATES, 240,
-        {"kind": "shift", "where": "wall", "coefficients": [1e-3, -1e-3, 1e-3], "at": {"row": 121}}, {"gauge": 0.02},
+        {"kind": "plane"}, PLATES, 160,
+        {"kind": "shift", "where": "wall", "coefficients": [1e-3, -1e-3, 1e-3], "at": {"row": 81}}, {"gauge": 0.02},
     ),
 }  # fmt: skip
 

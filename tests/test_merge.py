@@ -29,6 +29,8 @@ from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()
+STOPS = 14
+"""Of the logs that most tests join."""
 XYZ, TURN = ["x", "y", "z"], ["qx", "qy", "qz", "qw"]
 STD = ["std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz"]
 
@@ -65,7 +67,7 @@ def is_likely(z: np.ndarray) -> bool:
 
 @pytest.fixture(scope="module")
 def small() -> Made:
-    return made_logs.made(ROBOT, n=20, seed=1)
+    return made_logs.made(ROBOT, n=STOPS, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +117,7 @@ def test_a_stop_in_which_the_tracker_lost_its_target_is_named_and_makes_no_row(s
         tracker.loc[gone, XYZ + TURN] = 0.0 if how == "zero" else np.nan
         tracker = tracker.ffill() if how == "frozen" else tracker
     found = join(small.joints, tracker)
-    assert sorted(set(range(20)) - set(rows_of(found, small).tolist())) == [5]
+    assert sorted(set(range(STOPS)) - set(rows_of(found, small).tolist())) == [5]
     assert "lost its target" in str(found.unpaired[0])
     assert found.unpaired[0].begin == pytest.approx(small.arrived[5], abs=0.3)
     assert is_likely(strange(found, small))
@@ -354,7 +356,7 @@ def test_the_command_writes_a_table_that_init_reads_and_a_page(
     robot = ["--urdf", str(UR10), "--tip", "tool0"]
     assert main(["joints.csv", "tracker.csv", *robot, "-o", "rows.csv"]) == 0
     out = capsys.readouterr().out
-    assert "19 rows" in out
+    assert f"{STOPS - 1} rows" in out
     assert "no row: joints.csv, " in out
     page = Path("rows.html").read_text("utf-8")
     assert page.count("<svg") == 5

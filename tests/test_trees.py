@@ -38,7 +38,7 @@ def readings(robot: two_arms.Machine, n: int, seed: int = 0) -> np.ndarray:
 def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[two_arms.Machine, aridcal.Calibration, Path]:
     """Calibrated with a tracker, a camera and a bar, and read back from its file."""
     folder, robot = tmp_path_factory.mktemp("both"), two_arms.machine()
-    path = two_arms.write(folder, robot, ("tracker", "camera", "ballbar"), readings(robot, 150))
+    path = two_arms.write(folder, robot, ("tracker", "camera", "ballbar"), readings(robot, 110))
     found = aridcal.calibrate(path)
     errors = found.errors.loc["final"].loc["test"]
     assert errors["position_rms_mm"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA
