@@ -84,8 +84,8 @@ def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> Non
     """Rotations that a program made, positions that an instrument measured: variances 20 decades apart."""
     rng = np.random.default_rng(11)
     robot = robots.ur10()
-    truth = robots.simulate(robot, 120, rng)
-    rows = robots.placed(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (120, 3)))
+    truth = robots.simulate(robot, 80, rng)
+    rows = robots.placed(truth.measured, position=truth.measured.position + rng.normal(0, SIGMA, (80, 3)))
     path = robots.write_campaign(tmp_path, robots.replace(truth, measured=rows), diagnosis={"enabled": True})
     table = robots.pd.read_csv(tmp_path / "measurements.csv")
     name = robot.names[JOINT]
