@@ -198,12 +198,18 @@ def test_a_shoulder_that_gives_way_is_named_among_both_arms(tmp_path: Path) -> N
     assert errors["final"] < LIMIT * np.sqrt(3.0) * 1e3 * two_arms.SIGMA < 0.7 * errors["geometric"]
 
 
+SOUGHT = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]}
+"""What two masses might be taken for."""
+
+
 def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> None:
     q = readings(two_arms.machine(), 240)
     load = np.random.default_rng(4).choice([0.0, 5.0, 10.0], len(q))
     robot = replace(two_arms.machine(2, yields=1e-4), carried={"left_hand": load})
     keys = {"tip": "right_hand", "base": "torso", "urdf": "two_arms.urdf"}  # the default path is the other arm's
-    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload={"column": "load", "on": "left_hand"})
+    path = two_arms.write(
+        tmp_path, robot, ("tracker",), q, payload={"column": "load", "on": "left_hand"}, diagnosis=SOUGHT
+    )
     _with(path, {"robot": keys})
     pd.read_csv(tmp_path / "tracker.csv").assign(load=load).to_csv(tmp_path / "tracker.csv", index=False)
     found = aridcal.calibrate(path)
@@ -235,8 +241,7 @@ def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, mo
     )
     columns = {f"w_{side}": mass for side, mass in masses.items()}
     payload = [{"column": f"w_{side}", "on": f"{side}_hand"} for side in masses]
-    sought = {"candidates": ["joint_compliance", "payload_compliance", "joint_gain"]}
-    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload, diagnosis=sought)
+    path = two_arms.write(tmp_path, robot, ("tracker",), q, payload=payload, diagnosis=SOUGHT)
     pd.read_csv(tmp_path / "tracker.csv").assign(**columns).to_csv(tmp_path / "tracker.csv", index=False)
     found = aridcal.calibrate(path)
     effects = {(e["kind"], e["where"]): e["coefficients"][0] for e in found.result["effects"]}
