@@ -29,7 +29,7 @@ from aridcal.system.errors import AridcalError, MeasurementError
 
 UR10 = robots.URDF / "ur10.urdf"
 ROBOT = robots.ur10()
-STOPS = 14
+STOPS = 20
 """Of the logs that most tests join."""
 XYZ, TURN = ["x", "y", "z"], ["qx", "qy", "qz", "qw"]
 STD = ["std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz"]

@@ -105,13 +105,9 @@ ROTATED = dict(zip(Q, ["qy", "qz", "qw", "qx"], strict=True))
 WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any]]] = {
     "scalar first, small turns": ("arid", 0.1, lambda t: t.rename(columns=ROTATED), {}, "scalar-first quaternions",
                                   {"columns": {"qx": "qy", "qy": "qz", "qz": "qw", "qw": "qx"}}),
-    "scalar last called first": ("ur10", 0.3, lambda t: t, {"columns": ROTATED}, "scalar-last quaternions",
-                                 {"columns": {name: name for name in Q}}),
     "turning axes called fixed": ("ur10", 1.0, in_letters("XYZ"),
                                   {"orientation": {"euler": "xyz", "columns": ABC}}, "Euler angles XYZ",
                                   {"orientation": {"euler": "XYZ", "columns": ABC}}),
-    "letters in the other order": ("arid", 0.3, in_letters("ZYX"), {"orientation": {"euler": "XYZ", "columns": ABC}},
-                                   "Euler angles ZYX", FIRST),
     "rotation vectors called angles": (
         "ur10", 0.3,
         lambda t: t.drop(columns=Q).assign(**dict(zip(ABC, rotation(t).as_rotvec().T, strict=True))),
@@ -123,8 +119,6 @@ WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any]]] 
                              {"units": {"columns": {"wrist_2_joint": "deg"}}}),
     "a sign that axes absorb": ("ur10", 0.1, scaled(-1.0, "elbow_joint"), {}, "elbow_joint with the other sign",
                                  {"joints": {"elbow_joint": {"sign": -1}}}),
-    "a zero": ("ur10", 0.3, counted(1.0, 0.5 * np.pi, "shoulder_lift_joint"), {},
-               "shoulder_lift_joint with another zero (-90 degrees)", {"joints": {"shoulder_lift_joint": {"zero": "90deg"}}}),
     "a zero half a turn off": ("arid", 0.3, counted(1.0, np.pi, "joint_3"), {}, "joint_3 with another zero (+180 degrees)",
                                {"joints": {"joint_3": {"zero": "180deg"}}}),
     "two wrists exchanged": ("ur10", 0.1, exchanged("wrist_2_joint", "wrist_3_joint"), {},
@@ -134,8 +128,6 @@ WRONG: dict[str, tuple[str, float, Spoil, dict[str, Any], str, dict[str, Any]]] 
                                        {"units": {"length": "in"}}),
     "a rail in inches": ("arid", 0.3, scaled(1 / 0.0254, "joint_1"), {}, "joint_1 in inches",
                          {"units": {"columns": {"joint_1": "in"}}}),
-    "positions in inches": ("arid", 0.1, scaled(1 / 0.0254, *XYZ), {}, "positions in inches",
-                            {"units": {"columns": {"x": "in", "y": "in", "z": "in"}}}),
 }  # fmt: skip
 
 
@@ -182,7 +174,6 @@ def zeros_off(truth: robots.Truth) -> pd.DataFrame:
 
 
 TRUE: dict[str, tuple[float, Callable[[robots.Truth], pd.DataFrame], dict[str, Any]]] = {
-    "as good as new": (2e-3, robots.table, {}),
     "3 % off": (0.03, robots.table, {}),
     "zeros off by 14 degrees": (2e-3, zeros_off, {}),
     "play and gears": (2e-3, backlash_and_gears, {}),

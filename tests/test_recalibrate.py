@@ -180,7 +180,7 @@ def test_a_repair_that_would_be_a_guess_is_refused_and_what_would_tell_is_said(t
 # -- the command
 
 
-@pytest.mark.parametrize("kind", ["point", "distance", "pixels"])
+@pytest.mark.parametrize("kind", ["distance", "pixels"])
 def test_rows_of_another_instrument_write_a_whole_folder(kind, results, tmp_path, capsys):
     instruments = {"cameras": {"eye": EYE}} if kind == "pixels" else None
     path = by_instruments(machine(7), tmp_path, [kind], jump(2, 2e-3), instruments, n=8 if kind == "pixels" else 20)
