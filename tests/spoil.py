@@ -58,7 +58,7 @@ def write_sound_files(folder: Path) -> None:
 
 
 def write(path: Path, keys: Any) -> None:
-    path.write_text(yaml.safe_dump(keys, sort_keys=False), encoding="utf-8")
+    path.write_text(yaml.dump(keys, Dumper=yaml.CSafeDumper, sort_keys=False), encoding="utf-8")
 
 
 # ---------------------------------------------------------------- ways to spoil them

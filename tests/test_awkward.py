@@ -352,8 +352,8 @@ def test_predictions_come_in_the_tables_own_units_and_are_read_again(writing: st
     np.testing.assert_allclose(back[list(joints)].astype(float), pd.DataFrame(joints), atol=1e-6)
 
 
-def test_a_wrong_reading_of_matrices_and_of_two_units_is_refused_by_identify(tmp_path: Path) -> None:
-    """The attack: keys of a campaign that were changed by hand after `init` had them right."""
+def test_a_wrong_reading_of_matrices_is_refused_by_identify(tmp_path: Path) -> None:
+    """The attack: a key of a campaign that was changed by hand after `init` had it right."""
     t = known("ur10")
     R = t.R.as_matrix()
     joints = {f"q{k + 1}": t.q[:, k] for k in range(6)}
@@ -365,13 +365,6 @@ def test_a_wrong_reading_of_matrices_and_of_two_units_is_refused_by_identify(tmp
     assert right in out.read_text()
     out.write_text(out.read_text().replace(right, "[r11, r21, r31, r12, r22, r32, r13, r23, r33]"))
     with pytest.raises(AridcalError, match="orientations of the world in the target"):
-        aridcal.calibrate(out)
-    turn = dict(zip("ABC", t.R.as_euler("ZYX", degrees=True).T, strict=True))
-    path.write_bytes(text(joints | place | turn))
-    out = proposed(path)
-    assert "deg" in out.read_text()
-    out.write_text(out.read_text().replace("euler: ZYX", "euler: XYZ"))
-    with pytest.raises(AridcalError, match="Euler angles ZYX"):
         aridcal.calibrate(out)
 
 

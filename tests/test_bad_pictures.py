@@ -333,9 +333,9 @@ def test_a_mesh_that_kills_its_reader_costs_itself_alone(tmp_path: Path, monkeyp
         (tmp_path / name).write_bytes(stl(TRIANGLE))
     paths = [tmp_path / name for name in ("first.stl", "endless.stl", "last.stl")]
     others = children()
-    monkeypatch.setattr(meshes, "FILE_SECONDS", 5)  # a sound file takes a second on a busy computer
+    monkeypatch.setattr(meshes, "FILE_SECONDS", 3)  # a sound file takes a second on a busy computer
     first, bad, last = read_meshes(paths).values()
-    assert isinstance(bad, NotDrawable) and "longer than 5 s" in str(bad)
+    assert isinstance(bad, NotDrawable) and "longer than 3 s" in str(bad)
     for sound in (first, last):
         assert not isinstance(sound, NotDrawable)
         np.testing.assert_allclose(sound[0][1][sound[0][2]].reshape(3, 3), TRIANGLE, atol=1e-6)

@@ -1,3 +1,5 @@
+"""Campaign files: every key arrives, and what is wrong is named with its file, line and key."""
+
 from __future__ import annotations
 
 from pathlib import Path

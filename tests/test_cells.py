@@ -210,11 +210,19 @@ def moved_tracker(folder: Path, touches: bool) -> tuple[Path, two_arms.Machine]:
     return cells.write(folder, text, robot, tables, frames=frames, **keys), machine
 
 
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> tuple[aridcal.Calibration, two_arms.Machine]:
+    """Calibrated with the tracker alone."""
+    path, machine = moved_tracker(tmp_path_factory.mktemp("moved"), False)
+    return aridcal.calibrate(path), machine
+
+
 @pytest.mark.parametrize("touches", [False, True])
-def test_a_tracker_that_was_moved_sees_the_targets_of_two_limbs(touches: bool, tmp_path: Path) -> None:
+def test_a_tracker_that_was_moved_sees_the_targets_of_two_limbs(
+    touches: bool, moved: tuple[aridcal.Calibration, two_arms.Machine], tmp_path: Path
+) -> None:
     """Predictions of either target at either station are Pinocchio's; touches from limb to limb need no station."""
-    path, machine = moved_tracker(tmp_path, touches)
-    found = aridcal.calibrate(path)
+    found, machine = (aridcal.calibrate(moved_tracker(tmp_path, True)[0]), moved[1]) if touches else moved
     at_the_noise(found, "position_position" if touches else "position")
     rng = np.random.default_rng(3)
     others = rng.uniform(-1.0, 1.0, (60, len(machine.joints)))
@@ -230,10 +238,11 @@ def test_a_tracker_that_was_moved_sees_the_targets_of_two_limbs(touches: bool, t
         found.predict(bare)
 
 
-def test_a_moved_tracker_s_limbs_are_checked_and_commanded_at_a_station(tmp_path: Path) -> None:
+def test_a_moved_tracker_s_limbs_are_checked_and_commanded_at_a_station(
+    moved: tuple[aridcal.Calibration, two_arms.Machine], tmp_path: Path
+) -> None:
     """A commanded pose of the tool at the second station is reached by the real arm; a moved tracker is noticed."""
-    path, machine = moved_tracker(tmp_path, False)
-    found = aridcal.calibrate(path)
+    found, machine = moved
     found.save(tmp_path / "results")
     found = aridcal.load(tmp_path / "results")
     rng = np.random.default_rng(5)

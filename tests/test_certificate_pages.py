@@ -21,7 +21,6 @@ LONG, PARAGRAPH = 120, 500
 """Letters that a campaign may state."""
 
 WORDS = {
-    "usual": ("Jürgen Müller, Forschungsgruppe Österreich", "20 °C ± 1 °C; 45 % relative humidity"),
     "wide": ("W" * LONG, "W" * PARAGRAPH),
     "markup": ('<script>alert("1")</script> $x^2$ &amp; ' * 3, "<b>\\frac{1}{0}</b> {x} %s " * 20),
     "cjk": ("校正機器人" * (LONG // 5), "温度二十度" * (PARAGRAPH // 5)),

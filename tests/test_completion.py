@@ -1,3 +1,5 @@
+"""Completion in shells: commands, options and files, from the parsers themselves."""
+
 from __future__ import annotations
 
 import shutil

@@ -1,3 +1,5 @@
+"""Tables of measurements: every number arrives to the last bit, in SI units, or its row is refused by name."""
+
 from __future__ import annotations
 
 import hashlib

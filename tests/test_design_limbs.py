@@ -92,9 +92,23 @@ def sigma(rows: pd.DataFrame, held_out: dict[str, np.ndarray]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def test_designed_postures_beat_random_ones_on_held_out_postures_of_both_hands(tmp_path: Path) -> None:
-    n = 24
-    plan = planned(tmp_path, n, bare=True, diagnosis={"enabled": False})
+BOX = {"min": [0.3, -0.3, -0.2], "max": [0.9, 0.3, 0.2]}
+
+
+@pytest.fixture(scope="module")
+def apart(tmp_path_factory: pytest.TempPathFactory) -> pd.DataFrame:
+    """24 configurations from nothing, both hands wearing balls of half a metre, and a box where neither arm may be."""
+    ball = b'<collision><geometry><sphere radius="0.25"/></geometry></collision>'
+    shaped = two_arms.urdf()
+    for side in (b"left", b"right"):
+        shaped = shaped.replace(b'<link name="%s_hand">' % side, b'<link name="%s_hand">' % side + ball)
+    keys: dict[str, object] = {"design": {"keep_out": [BOX]}, "diagnosis": {"enabled": False}}
+    return planned(tmp_path_factory.mktemp("apart"), 24, bare=True, urdf=shaped, **keys)
+
+
+def test_designed_postures_beat_random_ones_on_held_out_postures_of_both_hands(apart: pd.DataFrame) -> None:
+    """Though the random ones may be where the planned ones must not."""
+    plan, n = apart, 24
     assert set(plan["target"]) == {"left", "right"}
     assert set(ROBOT.joints) - {"pan", "nod"} <= set(plan)
     rng = np.random.default_rng(4)
@@ -117,22 +131,16 @@ def test_rows_are_added_to_those_of_both_hands_that_are_there(tmp_path: Path) ->
     assert (pd.read_csv(tmp_path / "plan.csv")["target"] == "right").sum() >= 7
 
 
-def test_limbs_keep_out_of_each_other_and_of_boxes(tmp_path: Path) -> None:
-    ball = b'<collision><geometry><sphere radius="0.25"/></geometry></collision>'
-    shaped = two_arms.urdf()
-    for side in (b"left", b"right"):
-        shaped = shaped.replace(b'<link name="%s_hand">' % side, b'<link name="%s_hand">' % side + ball)
-    box = {"min": [0.3, -0.3, -0.2], "max": [0.9, 0.3, 0.2]}
-    plan = planned(tmp_path, 16, bare=True, urdf=shaped, design={"keep_out": [box]}, diagnosis={"enabled": False})
+def test_limbs_keep_out_of_each_other_and_of_boxes(apart: pd.DataFrame) -> None:
     inside = 0
-    for _, at in placed(plan, NOMINAL):
+    for _, at in placed(apart, NOMINAL):
         left, right = (at[f"{side}_hand"].translation for side in ARMS)
         assert np.linalg.norm(left - right) > 0.5
         for side in ARMS:
             links = [at[f"{side}_{k}"].translation for k in range(1, 7)] + [at[f"{side}_hand"].translation]
             for a, b in pairwise(links):
                 way = a + np.linspace(0, 1, 50)[:, None] * (b - a)
-                inside += int(((way > np.array(box["min"])) & (way < np.array(box["max"]))).all(axis=1).sum())
+                inside += int(((way > np.array(BOX["min"])) & (way < np.array(BOX["max"]))).all(axis=1).sum())
     assert inside == 0
     # chance would have both
     drawn = pd.DataFrame(np.random.default_rng(0).uniform(-1.4, 1.4, (200, 14)), columns=ROBOT.joints)
@@ -144,7 +152,7 @@ def test_limbs_keep_out_of_each_other_and_of_boxes(tmp_path: Path) -> None:
 
 
 def test_a_bar_between_two_hands_is_planned_and_what_was_planned_is_read_back(tmp_path: Path) -> None:
-    path = two_arms.write(tmp_path, ROBOT, ("ballbar",), readings(ROBOT, 120))
+    path = two_arms.write(tmp_path, ROBOT, ("ballbar",), readings(ROBOT, 120), diagnosis={"enabled": False})
     assert aridcal.design.main([str(path), "-n", "12", "-o", str(tmp_path / "plan.csv")]) == 0
     plan = pd.read_csv(tmp_path / "plan.csv")
     assert set(plan["anchor"]) == {"ball"} and set(ARMS["left"] + ARMS["right"]) <= set(plan)

@@ -97,12 +97,12 @@ def test_a_bent_lens_moves_no_circle():
 
 def test_the_focal_length_from_circles_is_within_three_of_its_sigmas_for_every_camera():
     scores = []
-    for k in range(20):
+    for k in range(10):
         seen, _, camera = circles_seen(k, 6)
         lens = estimate(seen, (640, 480))
         scores.append((lens.intrinsics[:2] - camera[:2]) / lens.std[:2])
     assert np.abs(scores).max() < 3
-    # Neither too small nor too large: 20 independent draws, as fx and fy go together, scatter by a sixth of it.
+    # Neither too small nor too large: 10 independent draws, as fx and fy go together, scatter by a fifth of it.
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.4
 
 
@@ -112,7 +112,7 @@ def test_blur_is_refused_or_does_no_harm(what):
     sharp = photograph(PRINTED[what], VIEWS[1], blur=0, noise=0)
     places = places_on_the_sheet(what)
     refused = 0
-    for k, sigma in enumerate((1, 2, 3, 4, 6, 9, 14)):
+    for k, sigma in enumerate((1, 3, 6, 14)):
         for motion in (False, True):
             image = cv2.blur(sharp, (round(3.5 * sigma) | 1, 1)) if motion else cv2.GaussianBlur(sharp, (0, 0), sigma)
             noise = 1.5 * np.random.default_rng(k).normal(size=image.shape)
@@ -123,7 +123,7 @@ def test_blur_is_refused_or_does_no_harm(what):
                 continue
             off = found.pixels - pixels_of(np.array([places[name] for name in found.names]), VIEWS[1])
             assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.25, (sigma, motion)
-    assert refused >= 6
+    assert refused >= 4
 
 
 @pytest.mark.parametrize("what", ["charuco", "cube"])
@@ -284,9 +284,7 @@ def test_without_joints_the_table_has_the_images_alone_and_says_so(images, tmp_p
     ("images", "arguments", "hint"),
     [
         ("charuco/shot_1.png", ["--dictionary", "DICT_4X4_50"], "--board charuco --size 7x5 --dictionary DICT_5X5_50"),
-        ("charuco/shot_1.png", ["--size", "9x6"], "--board charuco --size 7x5"),
         ("cube", [], "--board apriltag --dictionary DICT_APRILTAG_36h11"),
-        ("chessboard/shot_1.png", [], "--board chessboard --size 8x5"),
         ("chessboard/shot_1.png", ["--board", "chessboard", "--size", "9x6"], "--board chessboard --size 8x5"),
         ("circles", ["--board", "circles", "--size", "4x9"], "--board circles --size 4x11"),
     ],

@@ -1,3 +1,5 @@
+"""Tables of controllers: as their text says they are the robot, and nominal ones are those that makers publish."""
+
 from importlib.metadata import distribution
 from pathlib import Path
 

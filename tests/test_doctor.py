@@ -1,3 +1,5 @@
+"""`aridcal doctor`: a sound installation passes, and what is missing or broken is named with what mends it."""
+
 from __future__ import annotations
 
 import importlib.metadata

@@ -8,11 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from program_attacks import Attack
 from program_attacks.fanuc import (
     ACTIVE,
     ANYWHERE,
-    ATTACKS,
     BEFORE,
     FRAME_SET,
     FRAMES,
@@ -25,19 +23,15 @@ from program_attacks.fanuc import (
     listing,
     point,
 )
-from programs_marked import attacks, stripped
 from robots import ur10
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.jobs.apply.programs.cell import Cell, Reading
 from aridcal.jobs.apply.programs.fanuc import ROW
-from aridcal.jobs.apply.programs.fanuc.flow import Flow, read_flow
-from aridcal.jobs.apply.programs.fanuc.listing import read_listing
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
 from aridcal.jobs.apply.programs.project import Project, Source
 from aridcal.jobs.apply.programs.targets import Place, Target
-from aridcal.jobs.apply.programs.text import Code
 
 JOINTS = [
     ((0, 0, 0.67), "0 0 1"), ((0.312, 0, 0), "0 1 0"), ((0, 0, 1.075), "0 -1 0"),
@@ -107,14 +101,6 @@ def marked(files: dict[str, str], cell: Cell) -> list[tuple[str, bool]]:
         for marks_before, match in enumerate(MARKS.finditer(text))
         if match.group() in "⟦⟨"
     ]
-
-
-@pytest.mark.parametrize("attack", ATTACKS, ids=[attack.name for attack in ATTACKS])
-def test_a_point_that_does_not_mean_what_it_says_is_left(attack: Attack, tmp_path: Path) -> None:
-    marks = marked(attack.files, stated(frames_of(attack.frames, tmp_path)))
-    assert any(mark == "⟦" for mark, _ in marks)
-    for mark, corrected in marks:
-        assert corrected == (mark == "⟨")
 
 
 CONTROLS = (
@@ -642,19 +628,3 @@ def test_blocks_in_blocks_beyond_what_is_followed_leave_all() -> None:
     assert "more ways than can be followed" in why(deep)
     flat = listing([*["IF (R[1]=1) THEN"] * 40, GO, *["ENDIF"] * 40], [point(1)])
     assert why(flat) == ""
-
-
-@pytest.mark.parametrize("attack", [attack for _, attack in attacks(".ls")], ids=lambda attack: attack.name)
-def test_instructions_that_stand_there_before_are_read_as_if_they_did_not(
-    attack: Attack, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def flows() -> list[Flow]:
-        codes = [Code(k, name, text, text) for k, (name, text) in enumerate(texts.items())]
-        listings = [own for code in codes if (own := read_listing(code)) is not None]
-        return [read_flow(k, own) for k, own in enumerate(listings)]
-
-    texts = {name: stripped(text)[0] for name, text in attack.files.items() if name.lower().endswith(".ls")}
-    once = flows()
-    monkeypatch.setattr("aridcal.jobs.apply.programs.fanuc.flow._Reader._is_plain_action", lambda *_: False)
-    monkeypatch.setattr("aridcal.jobs.apply.programs.fanuc.flow._Reader._is_plain_move", lambda *_: False)
-    assert flows() == once

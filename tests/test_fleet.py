@@ -653,7 +653,7 @@ def test_a_worker_and_the_scheduler_die_and_every_task_is_answered_once(
     assert any("connection to the scheduler broke" in line for line in said)
 
 
-def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path) -> None:
+def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "head.json"
     head = subprocess.Popen(
         [*SCHEDULER, "--port", "0", "--scheduler-file", str(file)],
@@ -662,5 +662,6 @@ def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path) -> None:
     with dask_engine(announced(file, head), SILENT, patience=0.5) as engine:
         head.kill()
         head.wait()
+        monkeypatch.setattr("aridcal.jobs.fleet.cluster.ANSWER", 1.0)  # nobody is there whom more time would help
         with pytest.raises(EngineGone, match="did not come back"):
             list(engine(str.upper, {"a": "a"}))

@@ -31,7 +31,7 @@ def test_only_numbers_change_and_a_controller_of_its_own_brings_the_real_gantry_
     calibration, program, out = (tmp_path / name for name in ("calibration.yaml", "a.nc", "b.nc"))
     calibration.write_text(m.saved.dump())
     before, after, model, parts = [], [], [], []
-    for seed in range(6):
+    for seed in range(3):
         made = gcode(np.random.default_rng(seed), low, high, 25)
         program.write_bytes(made.text.encode())
         (tmp_path / "frames.yaml").write_text(made.frames)
@@ -50,7 +50,7 @@ def test_only_numbers_change_and_a_controller_of_its_own_brings_the_real_gantry_
                 before.append(miss(m, q, q)[0])
                 after.append(miss(m, q, there)[0])
                 model.append(miss(m, q, there)[1])
-    assert len(after) > 60
+    assert len(after) > 30
     assert np.linalg.norm(after) < 1.2 * np.linalg.norm(model)
     assert np.linalg.norm(after) < 0.05 * np.linalg.norm(before)
     assert parts

@@ -18,7 +18,7 @@ from aridcal.jobs.apply.programs.project import Project, Source
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import Number, written
 
-PROGRAMS = 60
+PROGRAMS = 24
 """Random ones: 500 were run when this was written; a finding every few programs came in the first twenty."""
 
 OFFSETS = ((12.5, -7.25, 3.0), (100.0, 50.5, -20.0), (0.0, 0.0, 0.0))

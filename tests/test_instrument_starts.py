@@ -158,14 +158,14 @@ def wrong(made: Scene, start: Place) -> float:
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane", "inclination"])
 def test_exact_rows_begin_at_the_truth_from_any_attitude(name: str) -> None:
-    off = [wrong(made, made.begun()[0]) for made in (scene(name, seed) for seed in range(40))]
+    off = [wrong(made, made.begun()[0]) for made in (scene(name, seed) for seed in range(20))]
     assert np.max(off) < 1e-6, (name, np.flatnonzero(np.array(off) >= 1e-6))
 
 
 @pytest.mark.parametrize("on_tip", [True, False])
 @pytest.mark.parametrize("board", [True, False])
 def test_exact_images_begin_at_the_truth_from_any_mounting(on_tip: bool, board: bool) -> None:
-    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(5))]
+    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(3))]
     assert np.max(off) < 1e-6, np.flatnonzero(np.array(off) >= 1e-6)
 
 
@@ -255,7 +255,7 @@ def cut(made: Scene, n: int) -> Scene:
 
 
 def test_too_few_rows_begin_somewhere_and_never_fail() -> None:
-    for n in (0, 1, 2, 3, 5, 7):
+    for n in (0, 1, 3, 7):
         for name in ("point", "distance", "plane", "inclination"):
             assert cut(scene(name, 1), n).begun()
         for on_tip in (True, False):

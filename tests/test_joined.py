@@ -35,10 +35,12 @@ def test_a_grasp_starts_where_its_rows_have_the_second_link() -> None:
     assert np.isnan(JOINED.located(R[:0], p[:0], np.zeros((0, 0)), [])).all()  # type: ignore[misc]
 
 
-def write(folder: Path, ways: tuple[str, ...] = ("joined",), rows: int = 160) -> tuple[two_arms.Machine, Path]:
+def write(
+    folder: Path, ways: tuple[str, ...] = ("joined",), rows: int = 160, **more: Any
+) -> tuple[two_arms.Machine, Path]:
     robot = two_arms.machine()
     q = np.random.default_rng(0).uniform(-1.1, 1.1, (rows, len(robot.joints)))
-    return robot, two_arms.write(folder, robot, ways, q)
+    return robot, two_arms.write(folder, robot, ways, q, **more)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +83,7 @@ def test_grasps_are_among_the_results_and_on_the_report(
 
 
 def test_a_tracker_beside_it_tells_the_rest(tmp_path: Path) -> None:
-    robot, path = write(tmp_path, ("tracker", "joined"), 120)
+    robot, path = write(tmp_path, ("tracker", "joined"), 120, diagnosis={"enabled": False})
     found = aridcal.calibrate(path)
     q = np.random.default_rng(8).uniform(-1.0, 1.0, (40, len(robot.joints)))
     told = {
@@ -96,7 +98,7 @@ def test_a_tracker_beside_it_tells_the_rest(tmp_path: Path) -> None:
     np.testing.assert_allclose(between, np.linalg.norm(left - right, axis=1), rtol=0, atol=5e-4)
 
 
-@pytest.mark.parametrize("moved", ["", "right_j3", "left_j4"])
+@pytest.mark.parametrize("moved", ["", "right_j3"])
 def test_new_grasps_tell_which_joint_of_which_arm_moved_and_mend_it(
     moved: str, held: tuple[two_arms.Machine, aridcal.Calibration, Path], tmp_path: Path
 ) -> None:
@@ -115,8 +117,6 @@ def test_new_grasps_tell_which_joint_of_which_arm_moved_and_mend_it(
     limb = f"{moved.partition('_')[0]}_hand"
     (size,) = re.findall(rf"the zero of {moved} \(limb to {limb}\), by \+([\d.]+) ", " ".join(told.lines))
     assert abs(float(size) - 2.0) < 0.3
-    if moved != "right_j3":
-        return
     after = before.recalibrate(new, tmp_path / "mended")
     q, label = two_arms.grasps(since, 80, np.random.default_rng(5), 0.0)
     spread = []
@@ -148,7 +148,7 @@ def test_what_cannot_be_meant_is_named(name: str, tmp_path: Path) -> None:
 
 
 def test_a_row_without_its_grasp_is_refused(tmp_path: Path) -> None:
-    _, path = write(tmp_path, rows=40)
+    _, path = write(tmp_path, rows=40, diagnosis={"enabled": False})
     table = pd.read_csv(tmp_path / "joined.csv")
     table.loc[3, "grasp"] = ""
     table.to_csv(tmp_path / "joined.csv", index=False)

@@ -16,7 +16,6 @@ from test_trees import readings
 import aridcal
 from aridcal.engine.robot.chain import parse_robot, with_limbs
 from aridcal.jobs.calibrate.controllers import tables
-from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.history.comparison import compare, lines
 
 WAIST = (
@@ -107,43 +106,48 @@ def test_compare_says_which_constants_of_joints_differ(tmp_path: Path) -> None:
     assert not [notice for notice in compare(first.model, first.model).notices if "waist" in notice]
 
 
-def test_compare_sees_a_zero_that_moved_on_either_limb(tmp_path: Path) -> None:
+def tracked(folder: Path, seed: int, slipped: str = "") -> aridcal.Calibration:
+    """Two arms seen by a tracker, perhaps after a zero has moved by 2 mrad."""
+    machine = replace(two_arms.machine(), slipped=(slipped, 2e-3) if slipped else None)
+    q = readings(machine, 150, seed)
+    return aridcal.calibrate(two_arms.write(folder, machine, ("tracker",), q, seed, diagnosis={"enabled": False}))
+
+
+@pytest.fixture(scope="module")
+def before(tmp_path_factory: pytest.TempPathFactory) -> tuple[aridcal.Calibration, Path]:
+    folder = tmp_path_factory.mktemp("before")
+    return tracked(folder, 1), folder
+
+
+def test_compare_sees_a_zero_that_moved_on_either_limb(
+    before: tuple[aridcal.Calibration, Path], tmp_path: Path
+) -> None:
     """Also on that which does not carry the target of the default path."""
-    machine = two_arms.machine()
-
-    def model(name: str, seed: int, slipped: str = "") -> SavedModel:
-        since = replace(machine, slipped=(slipped, 2e-3) if slipped else None)
-        path = two_arms.write(
-            tmp_path / name, since, ("tracker",), readings(since, 150, seed), seed, diagnosis={"enabled": False}
-        )
-        return aridcal.calibrate(path).model
-
-    before = model("before", 1)
-    assert not compare(before, model("same", 2)).changed
+    first = before[0].model
+    assert not compare(first, tracked(tmp_path / "same", 2).model).changed
     for joint in ("left_j3", "right_j3"):
-        found = compare(before, model(joint, 3, joint))
+        found = compare(first, tracked(tmp_path / joint, 3, joint).model)
         (cause,) = found.causes.found
         assert any(line.startswith(f"changed: {cause.words} by +") for line in lines(found))
         assert cause.words == f"the zero of {joint} (limb to {joint.partition('_')[0]}_hand)"
         np.testing.assert_allclose(cause.value, 2e-3, rtol=0, atol=4 * float(cause.std[0]))
 
 
-def test_a_zero_that_moved_on_the_other_limb_is_mended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    machine = two_arms.machine()
-    path = two_arms.write(
-        tmp_path / "before", machine, ("tracker",), readings(machine, 150, 1), diagnosis={"enabled": False}
-    )
-    aridcal.calibrate(path).save(tmp_path / "before" / "results")
+def test_a_zero_that_moved_on_the_other_limb_is_mended(
+    before: tuple[aridcal.Calibration, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, (calibration, folder) = two_arms.machine(), before
+    calibration.save(folder / "results")
     since = replace(machine, slipped=("right_j3", 2e-3))
     two_arms.write(tmp_path / "since", since, ("tracker",), readings(since, 20, 7), seed=5)
-    monkeypatch.chdir(tmp_path / "before")  # the campaign's own tables are named from here
-    before = aridcal.load("results")
-    after = before.recalibrate(tmp_path / "since" / "tracker.csv", tmp_path / "mended")
+    monkeypatch.chdir(folder)  # the campaign's own tables are named from here
+    loaded = aridcal.load("results")
+    after = loaded.recalibrate(tmp_path / "since" / "tracker.csv", tmp_path / "mended")
     q = readings(since, 20, 9)
     asked = since.table(q, target=np.full(len(q), "right"))
     real = np.array([T.act(two_arms.RIGHT) for T in since.seen(q, "torso", "right_hand")])
     off = []
-    for each in (before, after):
+    for each in (loaded, after):
         told = each.predict(asked)[["x", "y", "z"]].to_numpy(float)
         apart = [np.linalg.norm(np.diff(places, axis=0), axis=1) for places in (told, real)]  # needs no frame
         off.append(np.abs(apart[0] - apart[1]).max())

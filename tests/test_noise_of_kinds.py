@@ -61,7 +61,7 @@ def causes(folder: Path, arm: gauges.Arm, data: Dataset) -> NoiseCauses:
 
 
 @pytest.mark.parametrize("kind", list(BLOCKS))
-@pytest.mark.parametrize("seed", range(1, 4))
+@pytest.mark.parametrize("seed", [1])
 def test_clean_measurements_name_nothing(tmp_path: Path, kind: str, seed: int) -> None:
     arm = gauges.arm(seed)
     found = calibrated(tmp_path, arm, data := gauges.rows(arm, BLOCKS[kind](arm)))
@@ -71,7 +71,7 @@ def test_clean_measurements_name_nothing(tmp_path: Path, kind: str, seed: int) -
 
 
 @pytest.mark.parametrize("kind", list(BLOCKS))
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_rounded_joints_are_named_with_the_size_of_their_rounding(tmp_path: Path, kind: str, seed: int) -> None:
     arm = gauges.arm(seed)
     found = calibrated(tmp_path, arm, rounded(gauges.rows(arm, BLOCKS[kind](arm))))
@@ -216,7 +216,7 @@ def of_poses(data: Dataset) -> CalibratedArm:
 
 
 @pytest.mark.parametrize("correlated", [False, True])
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1])
 def test_what_the_arm_repeats_by_is_found_beside_stated_noise(seed: int, correlated: bool) -> None:
     made = of_poses(data := stated(seed, 1.5e-4, 1e-4, correlated))
     assert made.causes is not None and made.rows.relative is not None and data.relative is not None
@@ -234,7 +234,7 @@ def test_what_the_arm_repeats_by_is_found_beside_stated_noise(seed: int, correla
 
 
 @pytest.mark.parametrize("correlated", [False, True])
-@pytest.mark.parametrize("seed", range(1, 5))
+@pytest.mark.parametrize("seed", [1, 2])
 def test_rows_that_state_all_of_their_noise_name_nothing(seed: int, correlated: bool) -> None:
     made = of_poses(stated(seed, 0.0, 0.0, correlated))
     assert made.causes is not None and made.causes.further == ()

@@ -104,23 +104,6 @@ def test_names_of_any_length_stay_within_a_phone(browser: chromium.Browser, tmp_
         )
 
 
-def test_figures_stand_in_the_page_with_ink_in_them(report: chromium.Page) -> None:
-    unfold(report)
-    count = report.evaluate("document.querySelectorAll('svg.plot').length")
-    assert count > 15
-    for k in range(0, count, 4):
-        report.evaluate(
-            f"document.querySelectorAll('svg.plot')[{k}].scrollIntoView({{behavior: 'instant', block: 'center'}})"
-        )
-        box = report.evaluate(
-            f"(() => {{const b = document.querySelectorAll('svg.plot')[{k}].getBoundingClientRect();"
-            "return [b.left, b.top, Math.min(b.right, innerWidth), b.bottom]})()"
-        )
-        left, top, right, bottom = (int(v) for v in box)
-        part = report.pixels()[max(top, 0) : bottom, left:right]
-        assert (part.min(axis=-1) < 200).mean() > 0.005, k
-
-
 def test_links_lead_to_sections_and_to_files_that_are_there(report: chromium.Page, result: Path) -> None:
     found = "[...document.querySelectorAll('nav a')].every((a) => document.querySelector(a.getAttribute('href')))"
     assert report.evaluate(found)

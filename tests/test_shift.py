@@ -109,8 +109,6 @@ def happened(outcome: Outcome) -> list[tuple[str, str, int]]:
         ([(80, "tip_target", SLIP)], "pose"),
         ([(80, "tip_target", SLIP)], "position"),
         ([(80, LEVER, 4e-4)], "pose"),
-        ([(110, LEVER, -4e-4)], "position"),
-        ([(60, "world_base", KNOCK)], "pose"),
         ([(15, "world_base", HEAVY)], "pose"),  # in the first tenth, and so large that it bends the geometric stage
     ],
 )

@@ -1,3 +1,5 @@
+"""Simulated campaigns: exact rows are those of another library, noise and effects are as large as stated."""
+
 from __future__ import annotations
 
 import json

@@ -13,19 +13,12 @@ import two_arms
 import yaml
 from scipy.spatial.transform import Rotation
 
-import aridcal
 from aridcal.engine.instruments.camera import project
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.splice import splice_origins, written_origins
-from aridcal.files.yaml_file import load_settings
-from aridcal.jobs.simulate.scenario import Scenario
-from aridcal.jobs.simulate.simulation import simulate
 from aridcal.simulate import main
-from aridcal.system.errors import CampaignError
 
 N = 30
-LIMIT = 1.4
-"""Held-out errors of a fifth of 90 rows scatter by less: a root of 18 numbers by a sixth."""
 WORLD = {"xyz": [1.0, -0.5, 0.3], "rpy": [0.1, -0.2, 2.0]}
 FINGER, LEFT, BALL = [0.05, 0.02, 0.01], [0.02, -0.01, 0.03], [0.02, 0.01, 0.1]
 EYE = two_arms.LENS | {"distortion": [-0.1, 0.02, 1e-3, -2e-3, 0.0]}
@@ -196,23 +189,6 @@ def test_effects_of_both_arms_act_and_the_hands_still_meet(tmp_path: Path) -> No
     assert np.linalg.norm(stiff - at, axis=1).max() > 1e-3
 
 
-def test_what_was_simulated_is_identified_to_its_noise(tmp_path: Path) -> None:
-    noise = {"position": 1e-4, "rotation": 1e-4, "distance": 1e-4}
-    made(tmp_path, BLOCKS[:3], n=90, noise=noise)
-    found = aridcal.calibrate(tmp_path / "out" / "campaign.yaml")
-    assert found.result["verdict"] == "noise_floor" and found.effects.empty
-    errors = found.errors.loc["final"].loc["test"]
-    assert errors["tracker_position_rms_mm"] < LIMIT * np.sqrt(3.0) * 0.1
-    assert errors["point_position_rms_mm"] < LIMIT * np.sqrt(3.0) * 0.1
-    assert errors["distance_rms_mm"] < LIMIT * 0.1
-
-
-def test_a_point_that_the_other_hand_cannot_meet_is_refused(tmp_path: Path) -> None:
-    path = scenario(tmp_path, {"kind": "point", "target": "finger"}, n=1, instruments={"points": {"far": [9, 9, 9]}})
-    with pytest.raises(CampaignError, match="does not reach"):
-        simulate(load_settings(path, Scenario))
-
-
 JOINED = {"kind": "joined", "links": ["left_hand", "right_hand"], "name": "bar"}
 SHOULDERS = {
     side: {"kind": "joint_compliance", "where": f"{side}_j2", "coefficients": 1e-4} for side in ("left", "right")
@@ -227,7 +203,7 @@ def held(truth: dict, grasp: str) -> pin.SE3:
 def test_both_hands_hold_the_body_as_it_was_grasped(tmp_path: Path) -> None:
     """Second road: Pinocchio's poses of the true robot, one shoulder of which gives way."""
     blocks = [JOINED, JOINED | {"name": "head", "links": ["camera", "right_hand"]}]
-    robot, truth, tables = made(tmp_path, blocks, {}, n=40, effects=[SHOULDERS["left"]], parameters=CONSTANTS | OF_HEAD)
+    robot, truth, tables = made(tmp_path, blocks, {}, n=24, effects=[SHOULDERS["left"]], parameters=CONSTANTS | OF_HEAD)
     nominal, shoulder = pin.buildModelFromXML(two_arms.urdf().decode()), robot.joints.index("left_j2")
     data = nominal.createData()
     for table, (first, second) in zip(tables, (JOINED["links"], ("camera", "right_hand")), strict=True):
@@ -249,15 +225,6 @@ def test_a_body_gives_way_by_the_noise(tmp_path: Path) -> None:
     off = [held(truth, grasp).actInv(each) for grasp, each in zip(table["grasp"], T, strict=True)]
     for values, sigma in (([o.translation for o in off], 1e-3), ([pin.log3(o.rotation) for o in off], 2e-3)):
         assert abs(np.sqrt(np.mean(np.square(values))) / sigma - 1.0) < 4.0 / np.sqrt(2 * 3 * len(off))
-
-
-def test_what_both_hands_held_in_a_simulation_is_identified_to_its_noise(tmp_path: Path) -> None:
-    made(tmp_path, JOINED, {}, n=150, noise={"position": 1e-4, "rotation": 1e-4})
-    found = aridcal.calibrate(tmp_path / "out" / "campaign.yaml")
-    assert found.result["verdict"] == "noise_floor" and found.effects.empty
-    errors = found.errors.loc["final"].loc["test"]
-    assert errors["position_rms_mm"] < LIMIT * np.sqrt(3.0) * 0.1 < errors["position_rms_mm"] * LIMIT**2
-    assert errors["rotation_rms_mrad"] < LIMIT * np.sqrt(3.0) * 0.1
 
 
 @pytest.mark.parametrize("sides", [("left",), ("right", "left")])

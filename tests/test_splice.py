@@ -1,3 +1,5 @@
+"""URDFs with other origins: two libraries place links where they say, and no other byte changes."""
+
 import difflib
 import io
 import re

@@ -103,9 +103,7 @@ def unpack(text: str, dtype: type = np.float32) -> np.ndarray:
     ("urdf", "tip"),
     [
         ("panda_description/urdf/panda.urdf", "panda_hand"),  # dae in millimetres, several materials
-        ("ur_description/urdf/ur5_robot.urdf", "tool0"),  # dae
         ("talos_data/robots/talos_reduced.urdf", "gripper_left_base_link"),  # stl, some mirrored by their scale
-        ("so_arm_description/urdf/so100.urdf", "gripper"),  # stl
     ],
 )
 def test_meshes_lie_where_pinocchio_puts_them(urdf: str, tip: str) -> None:
