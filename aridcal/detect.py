@@ -26,14 +26,14 @@ from rich.progress import track
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.tables import Table, read_tables
+from aridcal.jobs.boards.advice import ENOUGH_IMAGES, advice
+from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_text, known_camera
+from aridcal.jobs.boards.finders import MIRRORED, Found, find
+from aridcal.jobs.boards.grey_images import grey_image, listed_images
+from aridcal.jobs.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
+from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
+from aridcal.jobs.boards.patterns import AnyBoard, Cube
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.print.advice import ENOUGH_IMAGES, advice
-from aridcal.jobs.print.camera_file import CAMERA_FILE, camera_text, known_camera
-from aridcal.jobs.print.finders import MIRRORED, Found, find
-from aridcal.jobs.print.grey_images import grey_image, listed_images
-from aridcal.jobs.print.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
-from aridcal.jobs.print.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
-from aridcal.jobs.print.patterns import AnyBoard, Cube
 from aridcal.system.errors import AridcalError, MeasurementError, listed, printable, shortened
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.regular_files import SETTINGS, read_file

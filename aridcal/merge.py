@@ -27,13 +27,13 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.command_line import CommandParser, answer, ask, command, command_parser, for_scripts, screens
+from aridcal.jobs.boards.camera_file import CAMERA_FILE
+from aridcal.jobs.boards.camera_frames import png_file
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, camera_file, intrinsics
 from aridcal.jobs.merge.camera_images import pictured
 from aridcal.jobs.merge.merging import merged
 from aridcal.jobs.prepare.guesses import nobody
-from aridcal.jobs.print.camera_file import CAMERA_FILE
-from aridcal.jobs.print.camera_frames import png_file
 from aridcal.pages.merge_page import merge_page
 from aridcal.runs.log_merge import Logs, read_logs, tell
 from aridcal.system.progress import SHOWN_REMARKS

@@ -21,11 +21,11 @@ from typing import Any
 import pandas as pd
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
+from aridcal.jobs.boards.bodies import cup, holder, seat_rise, stl
+from aridcal.jobs.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.jobs.boards.patterns import Marks, Tags, drawing, marks, square_strip
+from aridcal.jobs.boards.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.jobs.head1992.square import STRIP_SQUARES
-from aridcal.jobs.print.bodies import cup, holder, seat_rise, stl
-from aridcal.jobs.print.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
-from aridcal.jobs.print.patterns import Marks, Tags, drawing, marks, square_strip
-from aridcal.jobs.print.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.system.errors import CampaignError, OutputError
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.whole_files import atomic_file, atomic_table

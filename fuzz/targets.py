@@ -25,13 +25,13 @@ from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.files.things import load_places
 from aridcal.files.yaml_file import load_settings, parse_settings
+from aridcal.jobs.boards.camera_file import CameraFile
+from aridcal.jobs.boards.grey_images import grey_image
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots, load_squares
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.head1992.shots import board, read_image, read_ranges, shots_of
 from aridcal.jobs.merge.bags import joint_log
-from aridcal.jobs.print.camera_file import CameraFile
-from aridcal.jobs.print.grey_images import grey_image
 from aridcal.jobs.simulate.scenario import Scenario, check_scenario
 from aridcal.system.errors import AridcalError, MeasurementError, RobotError
 from aridcal.system.reading.regular_files import TABLE, URDF, read_file

@@ -10,11 +10,11 @@ from photographs import covered, outlines, printed
 from shapely.geometry import Polygon
 from shapely.ops import unary_union
 
+from aridcal.jobs.boards.options import ALL_BOARDS, board_of
+from aridcal.jobs.boards.patterns import FACES, Chessboard, Cube, drawing, flat_places, marks, square_strip
+from aridcal.jobs.boards.sheet import MM, MM_PER_POINT, on_paper, pdf, svg
 from aridcal.jobs.head1992.charuco import Board, corner_places
 from aridcal.jobs.head1992.square import fiducial_corners, index_corners
-from aridcal.jobs.print.options import ALL_BOARDS, board_of
-from aridcal.jobs.print.patterns import FACES, Chessboard, Cube, drawing, flat_places, marks, square_strip
-from aridcal.jobs.print.sheet import MM, MM_PER_POINT, on_paper, pdf, svg
 
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}
 SHEETS = {what: on_paper(drawing(board), what) for what, board in BOARDS.items()}

@@ -11,14 +11,14 @@ import pytest
 from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
 from aridcal.detect import main
+from aridcal.jobs.boards.camera_file import known_camera
+from aridcal.jobs.boards.finders import Found, find
+from aridcal.jobs.boards.lens import estimate
+from aridcal.jobs.boards.options import ALL_BOARDS, board_of
+from aridcal.jobs.boards.patterns import FACES, Cube, Tags, drawing, marks
+from aridcal.jobs.boards.sheet import on_paper, svg
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.head1992.square import UNIT
-from aridcal.jobs.print.camera_file import known_camera
-from aridcal.jobs.print.finders import Found, find
-from aridcal.jobs.print.lens import estimate
-from aridcal.jobs.print.options import ALL_BOARDS, board_of
-from aridcal.jobs.print.patterns import FACES, Cube, Tags, drawing, marks
-from aridcal.jobs.print.sheet import on_paper, svg
 
 cv2.setNumThreads(1)
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}

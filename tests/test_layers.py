@@ -41,12 +41,12 @@ KEPT_TO = {
     "dask": ("aridcal.jobs.fleet.cluster",),
     "distributed": ("aridcal.jobs.fleet.cluster",),
     "rosbags": ("aridcal.jobs.merge.bags",),
-    "cv2": ("aridcal.jobs.print.", "aridcal.jobs.head1992."),
+    "cv2": ("aridcal.jobs.boards.", "aridcal.jobs.head1992."),
     "meshcat": ("aridcal.view", "aridcal.pages.drawing.scene"),
     "scipy.optimize": ("aridcal.engine.fit.",),
     "tornado": ("aridcal.view",),
     "yourdfpy": ("aridcal.engine.robot.read_back",),
-    "trimesh": ("aridcal.jobs.print.bodies", "aridcal.engine.robot.meshes"),
+    "trimesh": ("aridcal.jobs.boards.bodies", "aridcal.engine.robot.meshes"),
 }
 """Libraries that only some modules may import."""
 

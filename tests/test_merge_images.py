@@ -16,15 +16,15 @@ import robots
 import aridcal
 from aridcal.detect import main as detect
 from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.boards.camera_file import known_camera
+from aridcal.jobs.boards.camera_frames import packed_frame, raw_frame
+from aridcal.jobs.boards.options import ALL_BOARDS, board_of
+from aridcal.jobs.boards.patterns import drawing, marks
+from aridcal.jobs.boards.sheet import svg
 from aridcal.jobs.head1992.head_settings import CameraSettings, HeadSettings, load_shots
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.head1992.shots import read_image, shots_of
 from aridcal.jobs.merge.bag_camera import BagCamera, CameraInfo, intrinsics
-from aridcal.jobs.print.camera_file import known_camera
-from aridcal.jobs.print.camera_frames import packed_frame, raw_frame
-from aridcal.jobs.print.options import ALL_BOARDS, board_of
-from aridcal.jobs.print.patterns import drawing, marks
-from aridcal.jobs.print.sheet import svg
 from aridcal.merge import main
 
 UR10 = robots.URDF / "ur10.urdf"

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 import trimesh
 
-from aridcal.jobs.print.bodies import BORE, MOUTH, cup, holder, seat_rise, stl
+from aridcal.jobs.boards.bodies import BORE, MOUTH, cup, holder, seat_rise, stl
 from aridcal.print import main
 from aridcal.system.errors import CampaignError
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from aridcal.jobs.boards.camera_frames import packed_frame, raw_frame
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.print.camera_frames import packed_frame, raw_frame
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO = "sensor_msgs/msg/CameraInfo"

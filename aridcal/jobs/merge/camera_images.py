@@ -15,12 +15,12 @@ import numpy as np
 import pandas as pd
 
 from aridcal.engine.robot.chain import Robot
+from aridcal.jobs.boards.camera_frames import thumbnail
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, Load
 from aridcal.jobs.merge.log_files import JointLog
 from aridcal.jobs.merge.merging import TIME, Unpaired
 from aridcal.jobs.merge.standstills import Standstills, span_of, standstills
-from aridcal.jobs.print.camera_frames import thumbnail
 from aridcal.system.errors import MeasurementError, printable
 
 MOVING_SHARE = 0.15

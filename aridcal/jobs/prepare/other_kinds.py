@@ -10,9 +10,9 @@ import numpy as np
 
 from aridcal.files.tables import ENDINGS, Table
 from aridcal.files.yaml_file import load_settings
+from aridcal.jobs.boards.camera_file import CAMERA_FILE, CameraFile
 from aridcal.jobs.prepare.column_names import positions, unit, words
 from aridcal.jobs.prepare.guesses import Proposal
-from aridcal.jobs.print.camera_file import CAMERA_FILE, CameraFile
 from aridcal.system.errors import MeasurementError, listed
 
 MARKERS_FILE = "markers.csv"

@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from aridcal.jobs.boards.patterns import Chessboard, Circles, Cube, Tags, check_board
+from aridcal.jobs.boards.sheet import MM
 from aridcal.jobs.head1992.charuco import Board
-from aridcal.jobs.print.patterns import Chessboard, Circles, Cube, Tags, check_board
-from aridcal.jobs.print.sheet import MM
 from aridcal.system.errors import CampaignError
 
 Defaults = Mapping[str, Mapping[str, Any]]

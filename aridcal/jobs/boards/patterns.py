@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from aridcal.jobs.boards.sheet import MM, Sheet
 from aridcal.jobs.head1992.charuco import Board
 from aridcal.jobs.head1992.square import SIDE, UNIT, fiducial_corners, index_corners, paper_corners, strip_placements
-from aridcal.jobs.print.sheet import MM, Sheet
 from aridcal.system.errors import CampaignError, nearest
 
 # Corners of a marker in OpenCV's order: clockwise from the upper left, as those of UNIT.

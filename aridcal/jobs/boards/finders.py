@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from aridcal.jobs.head1992.charuco import MIN_CORNERS, Board
-from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
-from aridcal.jobs.print.patterns import (
+from aridcal.jobs.boards.patterns import (
     CIRCLE,
     AnyBoard,
     Chessboard,
@@ -25,8 +23,10 @@ from aridcal.jobs.print.patterns import (
     modules,
     tag_names,
 )
-from aridcal.jobs.print.planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
-from aridcal.jobs.print.profiles import LEAST_CONTRAST, blurs, profiles, refined_quad, side_lines
+from aridcal.jobs.boards.planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
+from aridcal.jobs.boards.profiles import LEAST_CONTRAST, blurs, profiles, refined_quad, side_lines
+from aridcal.jobs.head1992.charuco import MIN_CORNERS, Board
+from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
 
 # Markers of a board lie within so many sides of a square of where the others tell: lenses bend by less, a wrong size by more.
 MOST_MISPLACED = 0.5

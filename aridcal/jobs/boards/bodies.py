@@ -13,7 +13,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from aridcal.jobs.print.sheet import MM
+from aridcal.jobs.boards.sheet import MM
 from aridcal.system.errors import CampaignError
 
 # Radii of a seat's mouth and of the bore below it, in radii of the ball; it touches at 0.71.

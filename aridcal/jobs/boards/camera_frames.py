@@ -9,8 +9,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from aridcal.jobs.boards.grey_images import MOST_MEGAPIXELS
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.print.grey_images import MOST_MEGAPIXELS
 from aridcal.system.reading.images import image_size
 from aridcal.system.reading.regular_files import MEGA
 

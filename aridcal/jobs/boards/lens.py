@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from aridcal.engine.instruments.camera import INTRINSICS
-from aridcal.jobs.print.finders import Found
+from aridcal.jobs.boards.finders import Found
 from aridcal.system.errors import AridcalError
 
 # Images that are used, evenly spread: more take long and tell little more.

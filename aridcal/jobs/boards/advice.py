@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from aridcal.jobs.boards.finders import GRID_FLAGS, MOST_MISPLACED, detected, find_circles, misplaced
+from aridcal.jobs.boards.patterns import dictionaries, dictionary_of
 from aridcal.jobs.head1992.charuco import Board
-from aridcal.jobs.print.finders import GRID_FLAGS, MOST_MISPLACED, detected, find_circles, misplaced
-from aridcal.jobs.print.patterns import dictionaries, dictionary_of
 
 # Images that are enough to look at, and markers of a dictionary that are no chance.
 ENOUGH_IMAGES, NO_CHANCE = 3, 2

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.yaml_file import Settings, load_settings
-from aridcal.jobs.print.lens import Lens
+from aridcal.jobs.boards.lens import Lens
 from aridcal.system.errors import AridcalError, nearest
 
 CAMERA_FILE = "camera.yaml"
