@@ -19,7 +19,7 @@ from aridcal.files.tables import AnyTable
 from aridcal.files.yaml_file import decode, parse_yaml
 from aridcal.jobs.apply.joint_commands import compensate
 from aridcal.jobs.apply.target_poses import evenly, predict, read_query, uncertainty
-from aridcal.jobs.calibrate.controllers import INDEX, by_region, hand_over, index_document
+from aridcal.jobs.calibrate.controllers import INDEX, by_region, controller_exports, index_document
 from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import score
@@ -276,7 +276,7 @@ class Calibration:
     def report(self, path: str | Path | None = None) -> Page:
         """The report: the answer, and the reasons for it. A notebook shows it; with a path it is saved as well."""
         return self._page(
-            "report.html", lambda outcome, target: write_report(outcome, hand_over(outcome), target), path
+            "report.html", lambda outcome, target: write_report(outcome, controller_exports(outcome), target), path
         )
 
     def scene(self, path: str | Path | None = None) -> Page:

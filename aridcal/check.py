@@ -40,7 +40,7 @@ from aridcal.command_line import (
 from aridcal.files.measurement_settings import length_argument
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.maintain.answers import check_lines
-from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.new_rows import read_new_rows
 from aridcal.jobs.maintain.repair import changes
 from aridcal.jobs.plan.pose_design import joint_table
@@ -108,7 +108,7 @@ def _check(arguments: argparse.Namespace) -> int:
     return DONE if checked.good else NOT_GOOD
 
 
-def _poses(out: Path, saved: SavedModel, checked: Checked) -> str:
+def _poses(out: Path, saved: SavedModel, checked: CheckResult) -> str:
     """Write configurations that would tell what the rows cannot; returns what was written, in words."""
     configurations = [one for cause in checked.causes for one in cause.telling]
     if not configurations:

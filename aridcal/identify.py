@@ -54,7 +54,7 @@ from aridcal.system.writing.whole_files import claimed
 
 if TYPE_CHECKING:
     from aridcal.engine.trust.gains import NamedEffect
-    from aridcal.jobs.calibrate.controllers import Handover
+    from aridcal.jobs.calibrate.controllers import ControllerExports
     from aridcal.jobs.calibrate.outcome import Outcome, Verification
 
 MOST_NOTICES = 8
@@ -249,7 +249,7 @@ def _good(outcome: Outcome) -> bool:
     return outcome.certainty is None or outcome.certainty.within
 
 
-def _next(out: Path, outcome: Outcome, handover: Handover) -> list[str]:
+def _next(out: Path, outcome: Outcome, handover: ControllerExports) -> list[str]:
     """The way to the controller, if there is one."""
     from aridcal.pages.drawing.words import next_command  # as above
 

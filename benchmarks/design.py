@@ -28,7 +28,7 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
 from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, Asked, question
@@ -104,7 +104,7 @@ def planned() -> None:
             print(f"{arm:6s} {kind:8s} {n:3d}  {usual:8s}  {told}  {seconds:7.1f}  {noise}", flush=True)
 
 
-def _near(known: Beforehand, n: int, region: np.ndarray, rng: np.random.Generator) -> float:
+def _near(known: PlanSetup, n: int, region: np.ndarray, rng: np.random.Generator) -> float:
     """RMS sigma of a choice among some candidates, as a share of that of the best of many exchanges."""
     few, _ = question(known, Asked(n), draw_candidates(known, SMALL_POOL, n, rng), region)
     begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]

@@ -23,7 +23,7 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, rows_like, targets_of
 from aridcal.jobs.plan.pose_design import Asked, design
 from aridcal.jobs.plan.usual_effects import with_pair
@@ -54,7 +54,7 @@ def campaign(folder: Path) -> Campaign:
     return load_campaign(path)
 
 
-def truth(folder: Path, name: str, readings: np.ndarray) -> tuple[Beforehand, np.ndarray]:
+def truth(folder: Path, name: str, readings: np.ndarray) -> tuple[PlanSetup, np.ndarray]:
     """The arm with one effect of the right size, and its coefficients."""
     made = campaign(folder)
     known = beforehand(made, load_robot(made.robot.urdf, made.robot.tip))
@@ -72,7 +72,7 @@ def truth(folder: Path, name: str, readings: np.ndarray) -> tuple[Beforehand, np
 
 
 def measured(
-    known: Beforehand, theta: np.ndarray, robot: Robot, readings: np.ndarray, rng: np.random.Generator
+    known: PlanSetup, theta: np.ndarray, robot: Robot, readings: np.ndarray, rng: np.random.Generator
 ) -> pd.DataFrame:
     """Rows of a table."""
     made = rows_like(known, readings, np.zeros(len(readings), dtype=int))

@@ -210,8 +210,8 @@ def start_table(top: Path) -> Table:
     pickled = f"import pickle; outcome = pickle.load(open({str(outcome)!r}, 'rb'))"
     outcome.write_bytes(pickle.dumps(identify(DEMO)))
     drawing = (
-        "from aridcal.pages.report.page import page; from aridcal.jobs.calibrate.controllers import hand_over"
-        "; made = hand_over(outcome)"
+        "from aridcal.pages.report.page import page; from aridcal.jobs.calibrate.controllers import controller_exports"
+        "; made = controller_exports(outcome)"
     )
     jobs = {
         "python -c 'import numpy'": "import numpy",

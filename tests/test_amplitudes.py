@@ -33,7 +33,7 @@ def test_the_likeliest_amplitude_is_that_of_determinants_and_solutions(d, fall, 
         assert found.variance[k] == pytest.approx(variances[np.argmax(twice)], rel=1e-9)
         assert found.twice[k] == pytest.approx(np.max(twice), rel=1e-7, abs=1e-7)
         assert found.freedom[k] == pytest.approx(d - np.trace(np.linalg.inv(spread[np.argmax(twice)])), rel=1e-6)
-    assert found.seen.all()
+    assert found.informed.all()
 
 
 @pytest.mark.filterwarnings("error")
@@ -72,7 +72,7 @@ def test_a_mode_that_is_rounding_beside_others_is_left_out():
 @pytest.mark.parametrize("size", [0.0, 1e-320, 1e-200])
 def test_columns_that_are_nil_are_not_seen(size):
     found = likeliest(np.full((2, 3, 3), size), np.full((2, 3), size), np.zeros(2), 100.0, 50.0)
-    assert not found.seen.any()
+    assert not found.informed.any()
     assert np.isfinite(found.twice).all()
 
 

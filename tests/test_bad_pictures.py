@@ -26,7 +26,7 @@ from aridcal.engine.robot import meshes
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.meshes import NotDrawable, read_meshes
 from aridcal.jobs.calibrate import pipeline
-from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
@@ -450,8 +450,8 @@ def outcome(truth: robots.Truth, tmp_path_factory: pytest.TempPathFactory) -> Ou
 
 
 @pytest.fixture(scope="module")
-def handover(outcome: Outcome) -> Handover:
-    return hand_over(outcome)
+def handover(outcome: Outcome) -> ControllerExports:
+    return controller_exports(outcome)
 
 
 def fails(error: Exception) -> Callable[..., object]:
@@ -475,7 +475,7 @@ def test_an_error_of_any_kind_is_a_notice_with_its_place(error: Exception) -> No
 
 
 def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
-    outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    outcome: Outcome, handover: ControllerExports, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = page.page(outcome, handover)
     monkeypatch.setattr("aridcal.pages.report.fit_section._axis_table", fails(ZeroDivisionError("oops")))
@@ -493,7 +493,7 @@ def test_a_section_that_fails_is_a_line_and_the_rest_of_the_report_stands(
 
 
 def test_a_figure_that_fails_is_a_line_in_its_place(
-    outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    outcome: Outcome, handover: ControllerExports, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("aridcal.pages.drawing.figures.legend", fails(ValueError("no legend")))
     notices = page.write_report(outcome, handover, tmp_path / "report.html")
@@ -505,7 +505,7 @@ def test_a_figure_that_fails_is_a_line_in_its_place(
     assert body.xpath("//svg")
 
 
-def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: Handover, tmp_path: Path) -> None:
+def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: ControllerExports, tmp_path: Path) -> None:
     """Otherwise the tests above would hide a bug instead of showing that one is survived."""
     assert page.write_report(outcome, handover, tmp_path / "report.html") == ()
     assert scene.write_scene(outcome, tmp_path / "scene.html") == (
@@ -523,7 +523,12 @@ def test_each_picture_of_a_sound_result_is_drawn(outcome: Outcome, handover: Han
     ],
 )
 def test_a_whole_page_that_fails_is_a_page_that_says_so(
-    where: str, error: Exception, outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    where: str,
+    error: Exception,
+    outcome: Outcome,
+    handover: ControllerExports,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(f"aridcal.pages.{where}", fails(error))
     path = tmp_path / "page.html"
@@ -574,7 +579,7 @@ def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
 
 
 def test_names_that_utf_8_has_not_are_written_somehow(
-    outcome: Outcome, handover: Handover, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    outcome: Outcome, handover: ControllerExports, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("aridcal.pages.report.page._chapters", lambda *_: [])
     odd = replace(outcome, measurements=outcome.measurements.with_origin(files=(Path(os.fsdecode(b"m\xff.csv")),)))

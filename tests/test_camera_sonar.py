@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from heads import MODEL, SETTINGS, START, THETA, calibrated, look, moved, poses, shots, views
 
-from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR, Head, HeadShot, Reduced, packed, reduced, unpacked
+from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR, Head, HeadShot, ShotPoses, packed, reduced, unpacked
 from aridcal.jobs.head1992.detections import shot_rows
 from aridcal.jobs.head1992.shot_rows import head_of, start_anywhere
 from aridcal.jobs.head1992.square_pose import NO_SONARS
@@ -24,11 +24,11 @@ def taken():
     return T, [look(T[k], int(square[k]), BENT, rng) for k in range(len(q))]
 
 
-def reduce_shots(seen: list[HeadShot], head: Head, declared: Head = START) -> Reduced:
+def reduce_shots(seen: list[HeadShot], head: Head, declared: Head = START) -> ShotPoses:
     return reduced(unpacked(packed(seen, declared), len(head.positions)), head)
 
 
-def camera(found: Reduced) -> np.ndarray:
+def camera(found: ShotPoses) -> np.ndarray:
     """T_world_camera, shape (N, 4, 4)."""
     T = np.tile(np.eye(4), (len(found.position), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = found.rotation, found.position

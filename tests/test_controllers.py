@@ -16,7 +16,7 @@ import yaml
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.files.yaml_file import load_settings
-from aridcal.jobs.calibrate.controllers import Handover, hand_over, write_controllers
+from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports, write_controllers
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.simulate.scenario import Scenario
@@ -44,7 +44,7 @@ def calibrated(folder: Path, effects: list[dict], parameters: dict, n: int = 150
 
 
 @pytest.fixture(scope="module")
-def wavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Handover, Path]:
+def wavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, ControllerExports, Path]:
     """Wrong constants, a wavy elbow and a shoulder that sags."""
     folder = tmp_path_factory.mktemp("wavy")
     effects = [
@@ -55,7 +55,7 @@ def wavy(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Handover, P
         f"{j}.{c}": {"std": 1e-3} for j in ("elbow_joint", "wrist_2_joint") for c in ("x", "y", "roll", "pitch", "yaw")
     }
     outcome = calibrated(folder, effects, wrong)
-    handover = hand_over(outcome)
+    handover = controller_exports(outcome)
     (folder / "out").mkdir()
     write_controllers(outcome, handover, folder / "out")
     return outcome, handover, folder / "out"
@@ -65,7 +65,7 @@ def scored(outcome: Outcome) -> np.ndarray:
     return outcome.parts()["test"]
 
 
-def test_the_more_a_controller_takes_the_less_is_left(wavy: tuple[Outcome, Handover, Path]) -> None:
+def test_the_more_a_controller_takes_the_less_is_left(wavy: tuple[Outcome, ControllerExports, Path]) -> None:
     _, handover, _ = wavy
     assert tuple(e.name for e in handover.exports) == NAMES
     left = [e.error for e in handover.exports]
@@ -75,7 +75,7 @@ def test_the_more_a_controller_takes_the_less_is_left(wavy: tuple[Outcome, Hando
     assert handover.summary().startswith(text)
 
 
-def test_every_export_has_the_error_that_it_states(wavy: tuple[Outcome, Handover, Path]) -> None:
+def test_every_export_has_the_error_that_it_states(wavy: tuple[Outcome, ControllerExports, Path]) -> None:
     """Second road: the files alone, read back and multiplied out, against the measured rows."""
     outcome, handover, folder = wavy
     m, test = outcome.measurements, scored(outcome)
@@ -107,7 +107,7 @@ def test_every_export_has_the_error_that_it_states(wavy: tuple[Outcome, Handover
     assert rms(mapped, q, "+ joint maps") == pytest.approx(error["+ joint maps"], rel=1e-3)
 
 
-def test_comments_state_the_error(wavy: tuple[Outcome, Handover, Path]) -> None:
+def test_comments_state_the_error(wavy: tuple[Outcome, ControllerExports, Path]) -> None:
     _, handover, folder = wavy
     names = {"kinematics.yaml", "dh.yaml", "dh_modified.yaml", "doty.yaml", "joint_offsets.yaml"}
     assert {f.name for f in folder.iterdir()} == names | {"joint_maps.csv", "joint_maps.urdf", "frames.yaml"}
@@ -122,7 +122,7 @@ def test_comments_state_the_error(wavy: tuple[Outcome, Handover, Path]) -> None:
         assert yaml.safe_load((folder / name).read_text())
 
 
-def test_tables_warn_of_axes_that_are_nearly_parallel(wavy: tuple[Outcome, Handover, Path]) -> None:
+def test_tables_warn_of_axes_that_are_nearly_parallel(wavy: tuple[Outcome, ControllerExports, Path]) -> None:
     _, _, folder = wavy
     for name in ("dh.yaml", "dh_modified.yaml"):
         text = (folder / name).read_text()
@@ -140,14 +140,14 @@ def test_joint_zeros_that_are_the_only_fault_are_found_by_the_offsets_alone(tmp_
     robot = robots.ur10()
     axes = {j.name: ("roll", "pitch", "yaw")[int(np.argmax(np.abs(j.axis)))] for j in robot.joints}
     outcome = calibrated(tmp_path, [], {f"{j}.{axes[j]}": v for j, v in offsets.items()})
-    handover = hand_over(outcome)
+    handover = controller_exports(outcome)
     assert handover.offsets == pytest.approx(offsets, abs=5e-5)
     left = {e.name: e.error for e in handover.exports}
     assert left["joint offsets alone"] < 1.2 * left["full model"] < left["nominal"] / 10
     assert handover.with_maps is None and not handover.maps
 
 
-def test_the_report_states_the_error_of_each_export(wavy: tuple[Outcome, Handover, Path]) -> None:
+def test_the_report_states_the_error_of_each_export(wavy: tuple[Outcome, ControllerExports, Path]) -> None:
     outcome, handover, _ = wavy
     text = "".join(map(str, use(outcome, handover)))
     for export in handover.exports:

@@ -21,7 +21,7 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import crosses
 from aridcal.jobs.plan.configurations import draw_candidates, targets_of
 from aridcal.jobs.plan.plan_coverage import observability
@@ -55,7 +55,7 @@ def campaign(
     return load_campaign(path)
 
 
-def known_of(made: Campaign) -> Beforehand:
+def known_of(made: Campaign) -> PlanSetup:
     return beforehand(made, load_robot(made.robot.urdf, made.robot.tip))
 
 

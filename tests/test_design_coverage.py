@@ -14,7 +14,7 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import allowed, draw_candidates
 from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.plan_coverage import Sigma, suspects
@@ -38,7 +38,7 @@ def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def known_of(
     folder: Path, block: str = POSE, more: str = TOOL, urdf: str = "arid.urdf", tip: str = "flange"
-) -> Beforehand:
+) -> PlanSetup:
     """A campaign whose table is not there."""
     path = folder / "campaign.yaml"
     path.write_text(

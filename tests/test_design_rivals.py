@@ -17,7 +17,7 @@ from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.plan import discrimination
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, rows_like
 from aridcal.jobs.plan.discrimination import Duel, duel_lines
 from aridcal.jobs.plan.information import so_far, told, whitened
@@ -47,7 +47,7 @@ def path_of(folder: Path) -> Path:
     return path
 
 
-def known_of(path: Path) -> Beforehand:
+def known_of(path: Path) -> PlanSetup:
     made = load_campaign(path)
     return beforehand(made, load_robot(made.robot.urdf, made.robot.tip))
 
@@ -57,7 +57,7 @@ def at(readings: np.ndarray) -> Candidates:
     return Candidates(readings, np.ones_like(readings), np.zeros(n, dtype=int), np.zeros(n, dtype=int), np.arange(n))
 
 
-def bent(path: Path, readings: np.ndarray, rms: float) -> tuple[Beforehand, np.ndarray]:
+def bent(path: Path, readings: np.ndarray, rms: float) -> tuple[PlanSetup, np.ndarray]:
     """The arm with a shoulder that yields, by so much RMS at the target, [m]."""
     known, ((number,), _) = with_pair(known_of(path), PAIR, at(readings))
     theta = np.zeros(len(known.theta))
@@ -69,7 +69,7 @@ def bent(path: Path, readings: np.ndarray, rms: float) -> tuple[Beforehand, np.n
     return known, theta
 
 
-def table_of(known: Beforehand, theta: np.ndarray, readings: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
+def table_of(known: PlanSetup, theta: np.ndarray, readings: np.ndarray, rng: np.random.Generator) -> pd.DataFrame:
     made = rows_like(known, readings, np.zeros(len(readings), dtype=int))
     R, p = known.model.poses(theta, known.model.rows(readings, made.conditions))
     p = p + NOISE * rng.standard_normal(p.shape)

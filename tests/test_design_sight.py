@@ -15,7 +15,7 @@ from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.robot.collisions import lines_touch
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import Beforehand, beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import apart
 from aridcal.jobs.plan.configurations import draw_candidates, in_base, in_sight, targets_of
 from aridcal.jobs.plan.information import _whitened, problem
@@ -34,7 +34,7 @@ def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def known_of(
     folder: Path, more: str = "", block: str = POSE, urdf: Path = robots.URDF / "ur10.urdf", tip: str = "tool0"
-) -> Beforehand:
+) -> PlanSetup:
     path = folder / "campaign.yaml"
     path.write_text(
         f"format: 1\nrobot: {{urdf: {urdf}, tip: {tip}}}\nmeasurements: {{file: rows.csv, {block}}}\n"
@@ -155,7 +155,7 @@ def test_markers_behind_a_box_are_not_counted_on(tmp_path: Path) -> None:
     low, high = [0.57, -0.02, 0.1], [0.7, 0.25, 0.12]
     block = "kind: pixels, noise: {pixel: 0.2}"
 
-    def hidden(known: Beforehand) -> np.ndarray:
+    def hidden(known: PlanSetup) -> np.ndarray:
         candidates = draw_candidates(known, 60, 10, np.random.default_rng(0))
         R, p = targets_of(known, candidates.readings[candidates.of], candidates.pattern)
         eye = p + 0.05 * R[:, :, 2]

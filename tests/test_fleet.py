@@ -30,7 +30,7 @@ from aridcal.jobs.fleet.keys import files_of, inputs_of
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.run_record import SCHEMA, row_in
 from aridcal.jobs.fleet.run_table import merged, read_rows
-from aridcal.jobs.fleet.runs import Planned, Ran, computed, planned
+from aridcal.jobs.fleet.runs import FleetPlan, FleetResults, computed, planned
 from aridcal.jobs.fleet.work import Task, calibrated
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -83,11 +83,11 @@ def plant(three: Path, tmp_path: Path) -> Path:
     return tmp_path / "plant"
 
 
-def plan(home: Path, pattern: str = "robots/*/campaign.yaml") -> Planned:
+def plan(home: Path, pattern: str = "robots/*/campaign.yaml") -> FleetPlan:
     return planned(members([str(home / pattern)], home / "fleet"), home / "fleet", write_folder, SILENT)
 
 
-def run_here(home: Path, engine: Any = here) -> Ran:
+def run_here(home: Path, engine: Any = here) -> FleetResults:
     (home / "fleet").mkdir(exist_ok=True)
     return computed(plan(home), engine, SILENT)
 

@@ -10,7 +10,7 @@ import pytest
 
 from aridcal.jobs.fleet.drifting import chance_of, drifting, freedom_of
 from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, quantile_of_largest, standing_out
-from aridcal.jobs.fleet.runs import Ran
+from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.fleet_page import fleet_page
 
@@ -101,7 +101,7 @@ def test_half_of_the_robots_may_be_spoilt_and_few_or_others_are_not_compared() -
     assert standing_out([r | {"status": "failed"} for r in rows]) == ([], 0)
     two = [*rows, *(r | {"robot": f"s{k}", "urdf": "two"} for k, r in enumerate(rows[:3]))]
     assert {out.robot for out in standing_out(two)[0]} == {f"r{k:02d}" for k in range(9)}
-    page = fleet_page(Ran(tuple(two), {r["robot"]: r for r in two}, (), {}, (), ""), "plant")
+    page = fleet_page(FleetResults(tuple(two), {r["robot"]: r for r in two}, (), {}, (), ""), "plant")
     assert "3 robots of makes (URDFs) with fewer than 8 robots were not compared" in page
 
 
@@ -206,7 +206,9 @@ def test_the_page_names_who_stands_out_what_drifts_and_escapes_what_users_wrote(
     rows[0]["effects"] = [effect]
     every = [*rows, later]
     now = {r["robot"]: r for r in every}
-    page = fleet_page(Ran(tuple(every), now, (), {"<i>": "why & how"}, ("r99",), "the scheduler is gone"), "plant")
+    page = fleet_page(
+        FleetResults(tuple(every), now, (), {"<i>": "why & how"}, ("r99",), "the scheduler is gone"), "plant"
+    )
     assert "is not drawn" not in page
     assert '<a href="r4/report.html">' in page
     assert "12 of 13 robots calibrated" in page

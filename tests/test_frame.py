@@ -20,7 +20,7 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.model.model import Model
 from aridcal.engine.trust.gains import Diagnosis, NamedEffect
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
 from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros, zero_of
 from aridcal.jobs.calibrate.outcome import Outcome, Verification
@@ -122,8 +122,8 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
 
 
 @pytest.fixture(scope="module")
-def handover(outcome: Outcome) -> Handover:
-    return hand_over(outcome)
+def handover(outcome: Outcome) -> ControllerExports:
+    return controller_exports(outcome)
 
 
 def with_effect(outcome: Outcome, kind: str, where: str) -> Outcome:
@@ -143,7 +143,7 @@ def header(made: Markup) -> str:
     return " ".join(html.document_fromstring(made).find("body/header").text_content().split())
 
 
-def test_what_a_controller_gets_is_what_result_json_says(outcome: Outcome, handover: Handover) -> None:
+def test_what_a_controller_gets_is_what_result_json_says(outcome: Outcome, handover: ControllerExports) -> None:
     more = with_effect(outcome, "joint_gain", outcome.robot.names[1])
     said = header(page(more, handover))
     error = result_document(replace(more, diagnosis=None))["error"]
@@ -163,7 +163,7 @@ def test_effects_of_the_measuring_head_are_not_promised_to_a_controller(outcome:
     assert "effects of the measuring head" in said
 
 
-def test_the_largest_zero_is_named_as_result_json_has_it(outcome: Outcome, handover: Handover) -> None:
+def test_the_largest_zero_is_named_as_result_json_has_it(outcome: Outcome, handover: ControllerExports) -> None:
     found = [(p, zero_of(p["name"], outcome.robot)) for p in result_document(outcome)["parameters"]]
     zeros = [(zero[0], zero[1] * p["value"], p) for p, zero in found if zero and p["status"] == "identified"]
     joint, value, p = max(zeros, key=lambda z: abs(z[1]))
@@ -195,7 +195,7 @@ def test_zeros_of_one_joint_add_up_with_their_covariance(outcome: Outcome) -> No
     assert added.std == pytest.approx(math.sqrt(zero.std**2 + 4e-8 - 2e-10), rel=1e-12)
 
 
-def test_another_day_has_a_card_with_the_figures_of_result_json(outcome: Outcome, handover: Handover) -> None:
+def test_another_day_has_a_card_with_the_figures_of_result_json(outcome: Outcome, handover: ControllerExports) -> None:
     residuals = {s.name: 1.1 * s.residual for s in outcome.stages}
     day = Verification("<2>.csv", outcome.measurements, residuals, outcome.outlier, outcome.stages[-1].residual)
     verified = replace(outcome, verification=day)
@@ -208,7 +208,7 @@ def test_another_day_has_a_card_with_the_figures_of_result_json(outcome: Outcome
 
 
 def test_robot_instrument_and_date_are_those_stated_and_what_is_not_is_said(
-    outcome: Outcome, handover: Handover
+    outcome: Outcome, handover: ControllerExports
 ) -> None:
     about = About(robot="R & <b>", serial_number="</p><script>", instrument="T {{ 1 }}", date="2026-11-20")
     stated = replace(outcome, campaign=outcome.campaign.model_copy(update={"about": about}))
@@ -222,7 +222,7 @@ def test_robot_instrument_and_date_are_those_stated_and_what_is_not_is_said(
 
 
 def test_links_lead_to_files_that_are_there_and_to_no_others(
-    outcome: Outcome, handover: Handover, tmp_path: Path
+    outcome: Outcome, handover: ControllerExports, tmp_path: Path
 ) -> None:
     def linked(folder: Path) -> set[str]:
         write_report(outcome, handover, folder / "report.html")

@@ -11,7 +11,7 @@ import pytest
 import robots
 from scipy.optimize import minimize
 
-from aridcal.engine.fit.frame_starts import FrameStart, Posed, _descend, _lever_cost, start_frames
+from aridcal.engine.fit.frame_starts import FrameStart, PoseRows, _descend, _lever_cost, start_frames
 from aridcal.engine.fit.least_squares import fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import fit_geometry
@@ -37,7 +37,7 @@ def starts(
     R, p = tip_frames(truth.model.robot, truth.readings)
     one = np.zeros(len(p), dtype=int)
     where = one if world is None else world, one if tip is None else tip
-    rows = Posed(R, p, truth.measured.rotation, truth.measured.position, *where)
+    rows = PoseRows(R, p, truth.measured.rotation, truth.measured.position, *where)
     return start_frames(rows, known_world, known_tip, hint)
 
 
@@ -91,7 +91,7 @@ def test_descents_end_no_higher_than_those_of_scipy(tips: int) -> None:
     truth = robots.simulate(robots.ur10(), 60, rng, 1e-3, 1e-4, tip=robots.random_placement(rng, 0.3))
     R, p = tip_frames(truth.model.robot, truth.readings)
     tip, world = np.arange(60) % tips, np.arange(60) % 2
-    cost = _lever_cost(Posed(R, p, None, truth.measured.position, world, tip), tips)
+    cost = _lever_cost(PoseRows(R, p, None, truth.measured.position, world, tip), tips)
     for _ in range(10):
         start = rng.uniform(-2.0, 2.0, 3 * tips)
         value, place = _descend(cost, start, 1.0)
@@ -246,7 +246,7 @@ def starts_of(
     position = p @ X.rotation.T + X.translation + (X.rotation @ R) @ Y.translation + noise
     rotation = X.rotation @ R @ Y.rotation if kind == "pose" else None
     zero = np.zeros(len(p), dtype=int)
-    return start_frames(Posed(R, p, rotation, position, zero, zero), None, None, (hint,))
+    return start_frames(PoseRows(R, p, rotation, position, zero, zero), None, None, (hint,))
 
 
 @pytest.mark.parametrize("kind", ["pose", "position"])

@@ -25,7 +25,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
 from aridcal.jobs.apply.joint_commands import compensate
 from aridcal.jobs.apply.target_poses import evenly, predict, read_query
-from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
@@ -102,7 +102,7 @@ def halls(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path, np.n
     (folder / "campaign.yaml").write_text(yaml.safe_dump(keys))
     outcome = identify(folder / "campaign.yaml")
     (folder / "calibration.yaml").write_text(calibration(outcome).dump(), "utf-8")
-    write_controllers(outcome, hand_over(outcome), folder)
+    write_controllers(outcome, controller_exports(outcome), folder)
     return outcome, folder, zeros
 
 

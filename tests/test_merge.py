@@ -20,7 +20,7 @@ from aridcal.jobs.merge import averages, bags
 from aridcal.jobs.merge.alignment import Moves, jump
 from aridcal.jobs.merge.clocks import correlations
 from aridcal.jobs.merge.log import Log
-from aridcal.jobs.merge.merging import Merged
+from aridcal.jobs.merge.merging import MergeResult
 from aridcal.jobs.merge.standstills import standstills
 from aridcal.jobs.prepare.guesses import nobody
 from aridcal.merge import main
@@ -35,24 +35,24 @@ XYZ, TURN = ["x", "y", "z"], ["qx", "qy", "qz", "qw"]
 STD = ["std_x", "std_y", "std_z", "std_rx", "std_ry", "std_rz"]
 
 
-def join(joints: pd.DataFrame | Path, tracker: pd.DataFrame | Path | None, **answers: int) -> Merged:
+def join(joints: pd.DataFrame | Path, tracker: pd.DataFrame | Path | None, **answers: int) -> MergeResult:
     settled = {key.replace("_", "."): number for key, number in answers.items()}
     return joined(joints, tracker, UR10, "tool0", nobody, settled)
 
 
-def rows_of(found: Merged, truth: Made) -> np.ndarray:
+def rows_of(found: MergeResult, truth: Made) -> np.ndarray:
     """Number of the stop that each row is of, told by its joints alone."""
     q = found.table[list(ROBOT.readings)].to_numpy()
     return np.array([np.argmin(np.abs(truth.q - row).sum(axis=1)) for row in q])
 
 
-def late(found: Merged, truth: Made) -> float:
+def late(found: MergeResult, truth: Made) -> float:
     """Largest error of the clocks, [s]."""
     time = truth.tracker["time"].to_numpy()
     return float(np.abs(found.clocks.joints(time) - truth.joints_clock(time)).max())
 
 
-def strange(found: Merged, truth: Made) -> np.ndarray:
+def strange(found: MergeResult, truth: Made) -> np.ndarray:
     """Rows about the truth in their own sigmas, position then rotation, shape (K, 6)."""
     k = rows_of(found, truth)
     off = found.table[XYZ].to_numpy() - truth.position[k]

@@ -12,7 +12,7 @@ import robots
 from made_logs import Made
 
 import aridcal
-from aridcal.jobs.merge.merging import Merged
+from aridcal.jobs.merge.merging import MergeResult
 from aridcal.jobs.prepare.guesses import nobody
 from aridcal.runs.log_merge import joined
 
@@ -46,11 +46,11 @@ def logs(plain: Made) -> tuple[pd.DataFrame, pd.DataFrame]:
 
 
 @pytest.fixture(scope="module")
-def found(logs: tuple[pd.DataFrame, pd.DataFrame]) -> Merged:
+def found(logs: tuple[pd.DataFrame, pd.DataFrame]) -> MergeResult:
     return joined(*logs, UR10, "tool0", nobody, {})
 
 
-def test_what_else_is_in_the_logs_changes_nothing_of_the_poses(plain: Made, found: Merged) -> None:
+def test_what_else_is_in_the_logs_changes_nothing_of_the_poses(plain: Made, found: MergeResult) -> None:
     bare = joined(plain.joints, plain.tracker, UR10, "tool0", nobody, {}).table
     pd.testing.assert_frame_equal(found.table[bare.columns], bare)
     assert set(found.table) - set(bare) == {
@@ -59,7 +59,7 @@ def test_what_else_is_in_the_logs_changes_nothing_of_the_poses(plain: Made, foun
 
 
 def test_means_are_those_of_the_samples_in_each_window(
-    plain: Made, found: Merged, logs: tuple[pd.DataFrame, pd.DataFrame]
+    plain: Made, found: MergeResult, logs: tuple[pd.DataFrame, pd.DataFrame]
 ) -> None:
     """By loops over the samples: what is linear in time has its value in the window's middle, by either clock."""
     table, (joints, tracker) = found.table, logs
@@ -80,7 +80,7 @@ def test_means_are_those_of_the_samples_in_each_window(
     assert table["joints_n"].tolist() == list(range(12))
 
 
-def test_clashes_and_what_is_lost_are_said(found: Merged) -> None:
+def test_clashes_and_what_is_lost_are_said(found: MergeResult) -> None:
     said = "\n".join(found.notices)
     assert "column 'n' is called 'joints_n' in the table, which has a 'n' already" in said
     assert "column 'temperature' is called 'tracker_temperature'" in said
@@ -89,7 +89,7 @@ def test_clashes_and_what_is_lost_are_said(found: Merged) -> None:
 
 
 def test_a_table_with_them_is_a_campaign_with_covariates(
-    found: Merged, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    found: MergeResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found.table.to_csv(tmp_path / "rows.csv", index=False)
     campaign = aridcal.propose(UR10, tmp_path / "rows.csv")

@@ -22,7 +22,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.new_rows import read_new_rows
 from aridcal.jobs.maintain.repair import changes, repaired
 from aridcal.system.errors import AridcalError
@@ -36,7 +36,7 @@ def ur10() -> Machine:
     return machine(3)
 
 
-def asked(folder: Path, kinds: list[str], offset: np.ndarray | float = 0.0, **more: object) -> Checked:
+def asked(folder: Path, kinds: list[str], offset: np.ndarray | float = 0.0, **more: object) -> CheckResult:
     new = read_new_rows(ur10().saved, by_instruments(ur10(), folder, kinds, offset, **more))
     return check(ur10().saved, new.rows, frames=new.frames)
 

@@ -17,7 +17,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import constants, urdf_of
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot, parse_robot, with_limbs
-from aridcal.engine.robot.read_back import NotReadBack, link_places
+from aridcal.engine.robot.read_back import ReadBackError, link_places
 from aridcal.engine.robot.tree import read_tree
 from aridcal.identify import main
 from aridcal.jobs.calibrate.urdf_files import write_urdf
@@ -91,7 +91,7 @@ def test_a_urdf_damaged_after_the_splice_is_refused_and_nothing_appears(
     bad = DAMAGES[damage](good)
     assert bad != good
     monkeypatch.setattr(aridcal.engine.fit.constants, "splice_origins", lambda *_: bad)
-    with pytest.raises(NotReadBack, match=r"calibrated\.urdf: .*nothing was written") as refused:
+    with pytest.raises(ReadBackError, match=r"calibrated\.urdf: .*nothing was written") as refused:
         write_urdf(tmp_path / "calibrated.urdf", model, theta)
     assert not list(tmp_path.iterdir())
     if damage == "an origin":
@@ -108,7 +108,7 @@ def test_a_model_that_folds_its_constants_wrongly_is_refused(tmp_path: Path, mon
         return found | {"elbow_joint": found["elbow_joint"] * pin.SE3(np.eye(3), np.array([1e-7, 0.0, 0.0]))}
 
     monkeypatch.setattr(Model, "origins", shifted)
-    with pytest.raises(NotReadBack, match="the model has link 'tool0' elsewhere") as refused:
+    with pytest.raises(ReadBackError, match="the model has link 'tool0' elsewhere") as refused:
         write_urdf(tmp_path / "calibrated.urdf", model, theta)
     assert refused.value.link == "tool0" and not list(tmp_path.iterdir())
 

@@ -158,7 +158,7 @@ def test_whatever_is_printed_of_a_user_is_printed_verbatim() -> None:
                 continue
             verbatim = any(k.arg == "markup" and getattr(k.value, "value", True) is False for k in node.keywords)
             constant = all(isinstance(a, ast.Constant | ast.IfExp | ast.BinOp) for a in node.args)
-            tables = ("_error_table(outcome)", "_sigma_table(plan, apart)", "_table(found)")
+            tables = ("_error_table(outcome)", "_sigma_table(plan, apart)", "_table(fleet_history)")
             known = all(ast.unparse(a) in (*tables, "mark", "MESSAGE") for a in node.args)
             assert verbatim or constant or known, f"{path}, line {node.lineno}"
 

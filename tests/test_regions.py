@@ -31,7 +31,7 @@ from aridcal.engine.search.loop import calibrated_arm, fit_constants
 from aridcal.files.campaign import EffectDeclaration, Job
 from aridcal.files.yaml_file import load_settings, parse_settings
 from aridcal.jobs.apply.target_poses import predict, read_query
-from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -72,7 +72,7 @@ def bent(tmp_path_factory: pytest.TempPathFactory) -> tuple[Outcome, Path]:
     truth = BENT | {"form": "ripple", "coefficients": [1e-3, 1e-3]}
     outcome = identify(simulated(folder, [truth], diagnosis={"candidates": ["regional"]}))
     (folder / "out").mkdir()
-    write_controllers(outcome, hand_over(outcome), folder / "out")
+    write_controllers(outcome, controller_exports(outcome), folder / "out")
     return outcome, folder / "out"
 
 
@@ -105,7 +105,7 @@ def test_where_nothing_varies_the_one_model_stays_to_the_last_digit(
     np.testing.assert_array_equal(one.stage("final").residual, without.stage("final").residual)
     said = [notice for notice in one.notices if "the one model of the whole workspace stays" in notice]
     assert len(said) == len(stated)
-    assert hand_over(one).regions is None
+    assert controller_exports(one).regions is None
 
 
 def test_each_region_s_urdf_alone_predicts_the_rows_of_its_region(bent: tuple[Outcome, Path]) -> None:
@@ -136,7 +136,7 @@ def test_each_region_s_urdf_alone_predicts_the_rows_of_its_region(bent: tuple[Ou
         ["index.yaml", *(f"{n}.urdf" for n in names)]
     )
     test = outcome.parts()["test"]
-    exports = {e.name: e for e in hand_over(outcome).exports}
+    exports = {e.name: e for e in controller_exports(outcome).exports}
     assert exports["URDF by region"].error == pytest.approx(rms(error[test]), rel=1e-6)
     assert exports["URDF by region"].error < 0.5 * exports["URDF alone"].error
 

@@ -27,7 +27,7 @@ from aridcal.engine.search.noise_tests import Clue
 from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.engine.trust.halves import Halves
 from aridcal.identify import summary as print_summary
-from aridcal.jobs.calibrate.controllers import Handover, hand_over
+from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
 from aridcal.jobs.calibrate.folder import parameters, result_document
 from aridcal.jobs.calibrate.key_figures import or_as_well
 from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, Verification, errors
@@ -64,18 +64,18 @@ def outcome(truth: robots.Truth, tmp_path_factory: pytest.TempPathFactory) -> Ou
 
 
 @pytest.fixture(scope="module")
-def handover(outcome: Outcome) -> Handover:
-    return hand_over(outcome)
+def handover(outcome: Outcome) -> ControllerExports:
+    return controller_exports(outcome)
 
 
 @pytest.fixture(scope="module")
-def report(outcome: Outcome, handover: Handover) -> str:
+def report(outcome: Outcome, handover: ControllerExports) -> str:
     return page(outcome, handover)
 
 
 def whole_page(outcome: Outcome) -> Markup:
     """The page with exports of its own."""
-    return page(outcome, hand_over(outcome))
+    return page(outcome, controller_exports(outcome))
 
 
 def text(report: str, part: str = "//body") -> str:
@@ -134,7 +134,7 @@ def test_the_six_questions_are_answered_in_order(report: str) -> None:
 
 
 def test_the_file_is_the_page_and_the_page_is_the_same_each_time(
-    outcome: Outcome, handover: Handover, report: str, tmp_path: Path
+    outcome: Outcome, handover: ControllerExports, report: str, tmp_path: Path
 ) -> None:
     write_report(outcome, handover, tmp_path / "report.html")
     assert (tmp_path / "report.html").read_text("utf-8") == report
@@ -170,7 +170,7 @@ def test_every_table_has_a_caption_and_titled_columns(report: str) -> None:
         assert len(each.xpath("tbody/tr/th[@scope='row']")) == len(each.xpath("tbody/tr"))
 
 
-def test_twelve_thousand_rows_stay_below_two_megabytes(outcome: Outcome, handover: Handover) -> None:
+def test_twelve_thousand_rows_stay_below_two_megabytes(outcome: Outcome, handover: ControllerExports) -> None:
     some = np.random.default_rng(0).integers(0, len(outcome.measurements), 12_000)
     many = replace(
         outcome,
@@ -186,7 +186,7 @@ def test_twelve_thousand_rows_stay_below_two_megabytes(outcome: Outcome, handove
 # ---- what it says ----------------------------------------------------------------------------------------------------
 
 
-def test_errors_of_every_stage_and_part_are_those_of_the_outcome(outcome: Outcome, handover: Handover) -> None:
+def test_errors_of_every_stage_and_part_are_those_of_the_outcome(outcome: Outcome, handover: ControllerExports) -> None:
     flagged = outcome.outlier.copy()
     flagged[np.flatnonzero(outcome.measurements.test)[0]] = True  # so that outliers count among the held-out rows
     outcome = replace(outcome, outlier=flagged)
@@ -367,7 +367,7 @@ def test_halves_that_disagree_are_held_against_the_result(outcome: Outcome) -> N
     assert "too few rows to fit halves" in join(list(fits(said(None))))
 
 
-def test_another_days_data_get_a_section_of_their_own(outcome: Outcome, handover: Handover) -> None:
+def test_another_days_data_get_a_section_of_their_own(outcome: Outcome, handover: ControllerExports) -> None:
     residuals = {stage.name: 2 * stage.residual for stage in outcome.stages}
     other = Verification(
         "<day 2>.csv",
@@ -419,7 +419,7 @@ def test_another_days_data_are_judged_on_the_first_screen(
     assert said in console.file.getvalue()  # type: ignore[attr-defined]
 
 
-def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: Handover) -> None:
+def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: ControllerExports) -> None:
     name = outcome.robot.names[1]
     gain = Coefficient(name, "axis", Basis("linear", (name,), (0.0,)))
     effect = Effect("joint_gain", name, (gain,))
@@ -472,7 +472,9 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: H
     assert "model.urdf" in text(report, "//section[@id='use']")
 
 
-def test_each_effect_has_its_line_between_the_geometry_and_the_whole(outcome: Outcome, handover: Handover) -> None:
+def test_each_effect_has_its_line_between_the_geometry_and_the_whole(
+    outcome: Outcome, handover: ControllerExports
+) -> None:
     names = outcome.robot.names[1:3]
     nominal, geometric, final = outcome.stages
     left = {name: share * nominal.residual for name, share in zip(names, (0.5, 0.25), strict=True)}

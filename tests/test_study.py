@@ -20,7 +20,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.fleet import trials as room
 from aridcal.jobs.fleet.in_process import here
 from aridcal.jobs.fleet.study_figures import found_again, median, points, scatters, share
-from aridcal.jobs.fleet.study_runs import SCHEMA, Studied, known_runs, studied
+from aridcal.jobs.fleet.study_runs import SCHEMA, StudyResult, known_runs, studied
 from aridcal.jobs.fleet.trials import Case, Trial, half, load_study, sought, trials, tried
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -59,14 +59,14 @@ def written(folder: Path, study: dict[str, Any] | None = None, **keys: Any) -> P
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Studied]:
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyResult]:
     folder = tmp_path_factory.mktemp("study")
     path = written(folder)
     every = trials(load_study(path))
     return path, studied(every, {}, folder, here, SILENT)
 
 
-def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, Studied]) -> None:
+def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, StudyResult]) -> None:
     path, found = done
     assert {(row["rows"], row["size"], row["run"]) for row in found.rows} == {
         (n, size, run) for n in (30, 60) for size in (0.0, 1.0) for run in (0, 1)
@@ -77,7 +77,7 @@ def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, Stu
     assert [name for name in SCHEMA.names if f"`{name}`" not in text] == []
 
 
-def test_an_effect_of_ten_times_the_noise_is_named_and_none_of_it_is_not(done: tuple[Path, Studied]) -> None:
+def test_an_effect_of_ten_times_the_noise_is_named_and_none_of_it_is_not(done: tuple[Path, StudyResult]) -> None:
     _, found = done
     assert {row["named"] for row in found.rows if row["size"] == 1.0 and row["rows"] == 60} == {True}
     assert {row["found"] for row in found.rows if row["size"] == 0.0} == {False}
@@ -126,7 +126,9 @@ def test_another_truth_is_another_study(tmp_path: Path) -> None:
     assert not set(few) & set(trials(load_study(written(tmp_path, truth=quieter))))
 
 
-def test_a_study_goes_on_where_it_was_and_does_failed_runs_again(done: tuple[Path, Studied], tmp_path: Path) -> None:
+def test_a_study_goes_on_where_it_was_and_does_failed_runs_again(
+    done: tuple[Path, StudyResult], tmp_path: Path
+) -> None:
     path, _ = done
     every = trials(load_study(path))
     known = known_runs(path.parent, every)
@@ -197,7 +199,7 @@ def test_constants_scatter_over_halves_as_the_whole_states(campaign: Path, whole
     assert len(ratios) >= 3
     assert 0.75 < float(np.sqrt(np.mean(np.square(ratios)))) < 1.3
     assert not any(s.name.startswith(("world_base", "tip_target")) for s in scatters(runs))
-    page = study_page(Studied(tuple(runs), 0, 0, ""), "a campaign", sought(job), True)
+    page = study_page(StudyResult(tuple(runs), 0, 0, ""), "a campaign", sought(job), True)
     assert "Are the constants known as well as stated?" in page
     assert "joint_2.beta" in page
 
@@ -251,7 +253,7 @@ def test_points_and_shares_count_what_was_done() -> None:
     assert points([row(False, 0, "failed")]) == []
 
 
-def test_the_page_has_curves_and_intervals(done: tuple[Path, Studied]) -> None:
+def test_the_page_has_curves_and_intervals(done: tuple[Path, StudyResult]) -> None:
     page = study_page(done[1], "arid", sought(load_study(done[0])), False)
     assert page.count('class="plot"') == 4
     assert "joint_harmonic at joint_3" in page
@@ -259,14 +261,14 @@ def test_the_page_has_curves_and_intervals(done: tuple[Path, Studied]) -> None:
     assert "is not drawn" not in page
 
 
-def test_the_command_says_what_is_known(done: tuple[Path, Studied], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_says_what_is_known(done: tuple[Path, StudyResult], capsys: pytest.CaptureFixture[str]) -> None:
     path, _ = done
     assert main([str(path), "-o", str(path.parent), "--scheduler", "tcp://127.0.0.1:9"]) == 0
     assert "8 of 8 runs done, 8 of them known already" in capsys.readouterr().out
     assert (path.parent / "study.html").is_file()
 
 
-def test_python_has_what_the_command_says(done: tuple[Path, Studied]) -> None:
+def test_python_has_what_the_command_says(done: tuple[Path, StudyResult]) -> None:
     path, found = done
     run = aridcal.study(path, path.parent, "tcp://127.0.0.1:9")  # all is known: nobody is asked
     assert repr(run) == "8 of 8 runs done, 8 of them known already"
@@ -279,7 +281,7 @@ def test_python_has_what_the_command_says(done: tuple[Path, Studied]) -> None:
     assert (cases["found_low"] <= cases["found"]).all() and (cases["found"] <= cases["found_high"]).all()
     assert len(run.effects) == len(run.constants) == 0  # of machines of their own
     halves = [row | {"rows": None, "size": None} for row in found.rows]
-    of_halves = study_run(Studied(tuple(halves), 0, 0, ""), path.parent)
+    of_halves = study_run(StudyResult(tuple(halves), 0, 0, ""), path.parent)
     shares = dict(zip(of_halves.effects["effect"], of_halves.effects["share"], strict=True))
     assert shares == {label: share.value for label, share in found_again(found.rows)}
     assert list(of_halves.constants["name"]) == [s.name for s in scatters(found.rows)]

@@ -16,7 +16,7 @@ from aridcal.jobs.fleet.drifting import Drift, drifting
 from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, StandsOut, makes, standing_out
 from aridcal.jobs.fleet.row_figures import are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import Row
-from aridcal.jobs.fleet.runs import Ran
+from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.figures import falling
 from aridcal.pages.drawing.frame import framed_page, sections
@@ -29,7 +29,7 @@ MOST_NOTICES, MOST_WITHIN, MOST_NAMED = 30, 10, 3
 """Notices that are listed; constants shown that moved no more than chance has them move; robots named for one effect."""
 
 
-def fleet_page(ran: Ran, title: str) -> Markup:
+def fleet_page(ran: FleetResults, title: str) -> Markup:
     """The page of a fleet, self-contained but for its links to each robot's report.
 
     Args:
@@ -78,7 +78,7 @@ def _summary(done: Sequence[Row]) -> Iterator[Content]:
         yield tag("p", f"Verdicts: {', '.join(said)}.")
 
 
-def _not_done(ran: Ran) -> Iterator[Content]:
+def _not_done(ran: FleetResults) -> Iterator[Content]:
     """Robots that failed, with why; and those that remain."""
     if ran.failed:
         lines = [[_name(name), shortened(why, 1000)] for name, why in ran.failed.items()]
@@ -182,7 +182,7 @@ def _times(times: float) -> str:
     return "no other scatters" if math.isinf(times) else number(times, 2)
 
 
-def _drifting(ran: Ran) -> Iterator[Content]:
+def _drifting(ran: FleetResults) -> Iterator[Content]:
     """Constants between each robot's first and last run."""
     current = set(ran.now)
     drifts, robots = drifting([row for row in ran.rows if row["robot"] in current])

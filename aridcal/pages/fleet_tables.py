@@ -12,16 +12,16 @@ from aridcal.jobs.fleet.drifting import drifting
 from aridcal.jobs.fleet.outliers import StandsOut, standing_out
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
-from aridcal.jobs.fleet.runs import Ran
+from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.fleet.study_figures import Estimate, Point, Scatter, found_again, points, scatters
 from aridcal.jobs.fleet.study_runs import SCHEMA as OF_RUNS
-from aridcal.jobs.fleet.study_runs import Studied
+from aridcal.jobs.fleet.study_runs import StudyResult
 
 ROBOT_COLUMNS = ("robot", "status", "measured", "rows", "verdict", "error")
 """Behind them stand the errors, RMS on held-out rows: ``final_position_mm`` for instance."""
 
 
-def robot_table(ran: Ran) -> pd.DataFrame:
+def robot_table(ran: FleetResults) -> pd.DataFrame:
     """A row for each robot asked for, the worst first; what failed has no figures, what remains is not there."""
     rows = list(ran.now.values())
     names = [(stage, channel) for channel in channels_of(rows) for stage in STAGES[::-1]]
@@ -35,7 +35,7 @@ def robot_table(ran: Ran) -> pd.DataFrame:
     return table.sort_values(errors[0], ascending=False, ignore_index=True) if errors else table
 
 
-def nested_table(ran: Ran, column: str) -> pd.DataFrame:
+def nested_table(ran: FleetResults, column: str) -> pd.DataFrame:
     """What the last run of every robot has in one of its lists, an entry a row.
 
     Args:
@@ -46,13 +46,13 @@ def nested_table(ran: Ran, column: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["robot", *(field.name for field in SCHEMA.field(column).type.value_type)])
 
 
-def outstanding_table(ran: Ran) -> pd.DataFrame:
+def outstanding_table(ran: FleetResults) -> pd.DataFrame:
     """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
     outliers, _ = standing_out(list(ran.now.values()))
     return pd.DataFrame([asdict(out) for out in outliers], columns=_names(StandsOut))
 
 
-def drift_table(ran: Ran) -> pd.DataFrame:
+def drift_table(ran: FleetResults) -> pd.DataFrame:
     """Constants of the first run and the last one of each robot, [m] and [rad], worst first; ``beyond`` what chance gives."""
     drifts, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
     columns = ["robot", "name", "unit", "first", "first_std", "last", "last_std", "days", "times", "beyond"]
@@ -60,12 +60,12 @@ def drift_table(ran: Ran) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def run_table(done: Studied) -> pd.DataFrame:
+def run_table(done: StudyResult) -> pd.DataFrame:
     """Every run of a study, as ``study.parquet`` has it, without its lists."""
     return pd.DataFrame(list(done.rows), columns=[n for n in OF_RUNS.names if n not in ("effects", "constants")])
 
 
-def case_table(done: Studied) -> pd.DataFrame:
+def case_table(done: StudyResult) -> pd.DataFrame:
     """A row for each case of a study: shares and medians, each with the ends of its interval behind it."""
     return pd.DataFrame([_case(point) for point in points(done.rows)])
 

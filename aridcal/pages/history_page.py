@@ -11,7 +11,7 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.history.comparison import p_in_words
 from aridcal.jobs.history.trend import FEWEST_RUNS
-from aridcal.jobs.history.wear import DAY_ZERO, History, RobotHistory, Watched
+from aridcal.jobs.history.wear import DAY_ZERO, ConstantHistory, History, RobotHistory
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
@@ -43,7 +43,7 @@ def date(day: float) -> str:
     return (DAY_ZERO + pd.Timedelta(days=day)).strftime("%Y-%m-%d")
 
 
-def change_in_words(w: Watched) -> str:
+def change_in_words(w: ConstantHistory) -> str:
     """What changed, since when, by how much."""
     c = w.change
     assert c is not None
@@ -235,12 +235,12 @@ def _alarms(history: History) -> Iterator[Content]:
         yield tag("p", f"{rest} more are not drawn; history.csv has the values of all.")
 
 
-def _caption(w: Watched) -> Content:
+def _caption(w: ConstantHistory) -> Content:
     what = "season or drift" if w.change is None else w.change.kind
     return [tag("b", w.robot), f" · {w.name} · {what}"]
 
 
-def _picture(w: Watched) -> Markup:
+def _picture(w: ConstantHistory) -> Markup:
     unit, scale = shown_in(w.unit)
     stretches = [] if w.change is None else [Stretch(w.change.low, w.change.high, "when it began")]
     series = w.series

@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal import __version__
-from aridcal.jobs.merge.merging import Merged
+from aridcal.jobs.merge.merging import MergeResult
 from aridcal.jobs.merge.standstills import speeds
 from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
 from aridcal.pages.drawing.frame import framed_page, sections
@@ -63,7 +63,7 @@ MOST_LISTED = 40
 """Standstills without a row that the page lists."""
 
 
-def merge_page(merged: Merged, names: tuple[str, str], out: Path) -> Markup:
+def merge_page(merged: MergeResult, names: tuple[str, str], out: Path) -> Markup:
     """The page, self-contained.
 
     Args:
@@ -100,7 +100,7 @@ def merge_page(merged: Merged, names: tuple[str, str], out: Path) -> Markup:
     return framed_page(f"{names[0]} and {names[1]} merged", head, sections(chapters), foot)
 
 
-def lines(merged: Merged) -> list[str]:
+def lines(merged: MergeResult) -> list[str]:
     """What was found, for people."""
     clocks, time = merged.clocks, merged.tracker.log.time
     sigma = 1e3 * float(clocks.std(time[[0, -1]]).max())
@@ -125,7 +125,7 @@ def lines(merged: Merged) -> list[str]:
     return [*words, *merged.tracker.words, *merged.notices]
 
 
-def _stretches(merged: Merged) -> list[tuple[Content, Markup]]:
+def _stretches(merged: MergeResult) -> list[tuple[Content, Markup]]:
     """Pictures of the speeds."""
     t = merged.clocks.joints(merged.tracker.log.time)
     first, last = max(t[0], merged.joints.time[0]), min(t[-1], merged.joints.time[-1])
@@ -146,7 +146,7 @@ def _stretches(merged: Merged) -> list[tuple[Content, Markup]]:
 
 
 @drawn_or_missing
-def _speeds(key: str, alt: str, merged: Merged, begin: float, end: float) -> str:
+def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -> str:
     """Speeds over a stretch of time, with the standstills of both and the windows of rows in lanes below."""
     si, clocks = merged.tracker, merged.clocks
     t = clocks.joints(si.log.time)
@@ -207,20 +207,20 @@ def _points(key: str, alt: str, x: np.ndarray, y: np.ndarray, label: str, zero: 
 
 
 @drawn_or_missing
-def _late(key: str, alt: str, merged: Merged) -> str:
+def _late(key: str, alt: str, merged: MergeResult) -> str:
     """What each move says of the clocks beyond offset and drift."""
     return _points(key, alt, merged.clocks.joints(merged.moves.time), 1e3 * merged.moves.late, "late [ms]", True)
 
 
 @drawn_or_missing
-def _off(key: str, alt: str, merged: Merged) -> str:
+def _off(key: str, alt: str, merged: MergeResult) -> str:
     """Distance from the nominal robot at each row."""
     return _points(
         key, alt, merged.table["time"].to_numpy(), 1e3 * np.linalg.norm(merged.off, axis=1), "distance [mm]", False
     )
 
 
-def _unpaired(merged: Merged) -> Content:
+def _unpaired(merged: MergeResult) -> Content:
     """A table of what makes no row."""
     if not merged.unpaired:
         return tag("p", "None: every standstill of each log is one of the other.")

@@ -10,9 +10,9 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.instruments.channels import Channel, norms
-from aridcal.jobs.calibrate.controllers import Handover
+from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import errors
-from aridcal.jobs.maintain.checking import Checked
+from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Change, Repaired
 from aridcal.pages.drawing.frame import Section, card, empty_page, framed_page
@@ -28,11 +28,11 @@ MOST_ROWS = 40
 
 def write_repair_report(
     repair: RepairOutcomes,
-    checked: Checked,
+    checked: CheckResult,
     mended: Repaired,
     lineage: dict[str, Any],
     lines: list[str],
-    handover: Handover,
+    handover: ControllerExports,
     path: Path,
 ) -> tuple[str, ...]:
     """Write the page of a repair.
@@ -61,11 +61,11 @@ def write_repair_report(
 
 def _page(
     repair: RepairOutcomes,
-    checked: Checked,
+    checked: CheckResult,
     mended: Repaired,
     lineage: dict[str, Any],
     lines: list[str],
-    handover: Handover,
+    handover: ControllerExports,
 ) -> Markup:
     """The whole page; each of its sections fails alone."""
     chapters = [
@@ -81,7 +81,7 @@ def _page(
     return framed_page(f"Repair of {repair.rows.robot.tree.name}", head, parts, foot(m))
 
 
-def _summary(repair: RepairOutcomes, checked: Checked, mended: Repaired) -> Iterator[Content]:
+def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repaired) -> Iterator[Content]:
     """The first screen: how far off before, how far now, and what moved."""
     m, robot = repair.rows.measurements, repair.rows.robot
     names = ", ".join(path.name for path in m.origin.files)
@@ -159,7 +159,7 @@ def _rows(repair: RepairOutcomes) -> Iterator[Content]:
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
 
 
-def _use(repair: RepairOutcomes, handover: Handover) -> Iterator[Content]:
+def _use(repair: RepairOutcomes, handover: ControllerExports) -> Iterator[Content]:
     """Which file is for what, and what each export loses."""
     yield tag(
         "p",

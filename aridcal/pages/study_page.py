@@ -11,7 +11,7 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
 from aridcal.jobs.fleet.study_figures import CONFIDENCE, Estimate, Point, found_again, points, scatters
-from aridcal.jobs.fleet.study_runs import Studied
+from aridcal.jobs.fleet.study_runs import StudyResult
 from aridcal.pages.drawing.figures import COLOURS, banded
 from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, figures, table, tag
@@ -25,7 +25,7 @@ MOST_ERRORS = 10
 """Different reasons of failed runs that are told."""
 
 
-def study_page(done: Studied, title: str, effect: str, halves: bool) -> Markup:
+def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Markup:
     """The page of a study, self-contained.
 
     Args:
@@ -124,7 +124,7 @@ def _constants(rows: Sequence[Row]) -> Iterator[Content]:
     yield table(head, lines, caption)
 
 
-def _not_done(failed: Sequence[Row], done: Studied) -> Iterator[Content]:
+def _not_done(failed: Sequence[Row], done: StudyResult) -> Iterator[Content]:
     """Why runs failed, and how many remain."""
     count = Counter(str(row["error"]) for row in failed)
     if count:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from aridcal.jobs.fleet.cluster import dask_engine
 from aridcal.jobs.fleet.in_process import here
 from aridcal.jobs.fleet.members import TAKEN, Member
-from aridcal.jobs.fleet.runs import Ran, computed, planned
+from aridcal.jobs.fleet.runs import FleetResults, computed, planned
 from aridcal.pages.fleet_page import fleet_page
 from aridcal.runs.result_folder import write_folder
 from aridcal.system.errors import shortened
@@ -57,7 +57,7 @@ class FleetRun(InWords):
     lines: tuple[str, ...]
 
 
-def fleet_run(ran: Ran, out: Path) -> FleetRun:
+def fleet_run(ran: FleetResults, out: Path) -> FleetRun:
     """What became of a fleet, for Python."""
     from aridcal.pages.fleet_tables import drift_table, nested_table, outstanding_table, robot_table
 
@@ -74,7 +74,7 @@ def fleet_run(ran: Ran, out: Path) -> FleetRun:
     )
 
 
-def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, progress: Progress) -> Ran:
+def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, progress: Progress) -> FleetResults:
     """Calibrate what is not there yet, and write table and page.
 
     Args:
@@ -102,7 +102,7 @@ def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, 
     return ran
 
 
-def summary(ran: Ran) -> list[str]:
+def summary(ran: FleetResults) -> list[str]:
     """What became of the fleet, in lines."""
     done = len(ran.now) - len(ran.failed) - sum(name in ran.now for name in ran.remaining)
     requested = done + len(ran.failed) + len(ran.remaining)

@@ -15,7 +15,7 @@ from aridcal.files.tables import AnyTable
 from aridcal.jobs.merge import bags, log_files
 from aridcal.jobs.merge.bag_camera import BagCamera, Take
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.merge.merging import Merged, merged
+from aridcal.jobs.merge.merging import MergeResult, merged
 from aridcal.jobs.prepare.guesses import Asker, Choose, nobody
 from aridcal.pages.merge_page import lines
 from aridcal.system.errors import AridcalError, RobotError
@@ -54,7 +54,7 @@ class Logs:
 
 def joined(
     joints: AnyTable, tracker: AnyTable | None, urdf: Path, tip: str, choose: Choose, settled: Mapping[str, int]
-) -> Merged:
+) -> MergeResult:
     """Join two logs, or both logs of one bag; see :func:`read_logs`.
 
     Raises:
@@ -138,7 +138,7 @@ def merge(
     return result.table
 
 
-def tell(result: Merged, console: Screen) -> None:
+def tell(result: MergeResult, console: Screen) -> None:
     """Print how the logs were joined, and the standstills that make no row."""
     sentences = [*lines(result), *(f"no row: {standstill}" for standstill in result.unpaired[:SHOWN_REMARKS])]
     if len(result.unpaired) > SHOWN_REMARKS:

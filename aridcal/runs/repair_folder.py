@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from aridcal.files.tables import AnyTable
-from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.jobs.maintain.answers import check_lines, left_out_line
-from aridcal.jobs.maintain.checking import Checked, check
+from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
 from aridcal.jobs.maintain.new_rows import read_new_rows
 from aridcal.jobs.maintain.outcomes import RepairOutcomes, repair_outcomes
@@ -67,7 +67,7 @@ def recalibrate(results: Path, table: AnyTable, out: Path, progress: Progress = 
 def _write(
     out: Path,
     outcomes: RepairOutcomes,
-    checked: Checked,
+    checked: CheckResult,
     repair: Repaired,
     parents: dict[str, Any],
     lines: list[str],
@@ -86,7 +86,7 @@ def _write(
         residuals(outcomes).to_csv(stage / "residuals.csv", index=False, float_format="%.9g")
         progress("working out what controllers can be given")
         handover = replace(
-            hand_over(outcomes.model), rows=f"{len(outcomes.model.measurements)} configurations {SCORED_ON}"
+            controller_exports(outcomes.model), rows=f"{len(outcomes.model.measurements)} configurations {SCORED_ON}"
         )
         write_controllers(outcomes.model, handover, stage)
         progress("drawing the report and the scene")

@@ -13,7 +13,7 @@ from aridcal.system.progress import SILENT, Progress
 from aridcal.system.writing.whole_files import atomic_folder
 
 if TYPE_CHECKING:
-    from aridcal.jobs.calibrate.controllers import Handover
+    from aridcal.jobs.calibrate.controllers import ControllerExports
     from aridcal.jobs.calibrate.outcome import Outcome
 
 RESULT_FILES = frozenset(
@@ -39,7 +39,7 @@ class Written:
         notices: What could not be read back or drawn, and why.
     """
 
-    handover: Handover
+    handover: ControllerExports
     notices: tuple[str, ...]
 
 
@@ -60,7 +60,7 @@ def write_folder(
         OutputError: the folder cannot be written.
     """
     # Commands ask for the names above before they read a table; what draws is loaded when there is something to draw.
-    from aridcal.jobs.calibrate.controllers import hand_over, write_controllers
+    from aridcal.jobs.calibrate.controllers import controller_exports, write_controllers
     from aridcal.jobs.calibrate.folder import write_results
     from aridcal.pages.certificate import write_certificate
     from aridcal.pages.drawing.scene import write_scene
@@ -73,7 +73,7 @@ def write_folder(
         notices_read = write_results(outcome, stage, progress)
         progress("working out what controllers can be given")
         give_back()
-        handover = hand_over(outcome)
+        handover = controller_exports(outcome)
         write_controllers(outcome, handover, stage)
         progress("drawing the scene")
         notices = write_scene(outcome, stage / "scene.html")

@@ -11,7 +11,7 @@ from aridcal.files.campaign import Campaign
 from aridcal.jobs.fleet.cluster import dask_engine
 from aridcal.jobs.fleet.in_process import here
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_runs import NAME, Studied, known_runs, studied
+from aridcal.jobs.fleet.study_runs import NAME, StudyResult, known_runs, studied
 from aridcal.jobs.fleet.trials import sought, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.pages.study_page import study_page
@@ -51,7 +51,7 @@ class StudyRun(InWords):
     lines: tuple[str, ...]
 
 
-def study_run(results: Studied, out: Path) -> StudyRun:
+def study_run(results: StudyResult, out: Path) -> StudyRun:
     """What a study found, for Python."""
     from aridcal.pages.fleet_tables import again_table, case_table, run_table, scatter_table
 
@@ -67,7 +67,7 @@ def study_run(results: Studied, out: Path) -> StudyRun:
     )
 
 
-def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progress: Progress) -> Studied:
+def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progress: Progress) -> StudyResult:
     """Do the runs of a study that are not there yet, and write table and page.
 
     Args:
@@ -94,7 +94,7 @@ def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progres
     return results
 
 
-def summary(results: Studied) -> list[str]:
+def summary(results: StudyResult) -> list[str]:
     """What became of the study, in lines."""
     failed = [row for row in results.rows if row["status"] == FAILED]
     known_part = f", {results.kept:,} of them known already" if results.kept else ""

@@ -13,7 +13,7 @@ from aridcal.engine.corrections.sights import Sights, is_sight
 from aridcal.engine.robot.chain import Joint, Robot
 from aridcal.engine.robot.kinematics import (
     LEVEL_GRAVITY,
-    Walked,
+    JointFrames,
     bears,
     borne_by,
     carried,
@@ -135,7 +135,7 @@ def _driving(joint: Joint, load: np.ndarray) -> np.ndarray:
     return np.asarray(part @ joint.axis)
 
 
-def _pull(robot: Robot, walked: Sequence[Walked], payload: Payload, weight: np.ndarray) -> np.ndarray:
+def _pull(robot: Robot, walked: Sequence[JointFrames], payload: Payload, weight: np.ndarray) -> np.ndarray:
     """Force and moment of a payload of some weight, shape (N, 3) [N], on each joint, as :func:`gravity_loads` has it.
 
     On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it.

@@ -124,7 +124,7 @@ class Sums:
 
 
 @dataclass(frozen=True)
-class Eliminated:
+class Elimination:
     """Groups solved for.
 
     Attributes:
@@ -179,7 +179,7 @@ class Projector:
 
 
 def projector(
-    B: np.ndarray, group: np.ndarray, elimination: Eliminated, weight: np.ndarray, sigma: np.ndarray
+    B: np.ndarray, group: np.ndarray, elimination: Elimination, weight: np.ndarray, sigma: np.ndarray
 ) -> Projector:
     """The projector that takes groups off columns.
 
@@ -284,7 +284,7 @@ def _value_of_tie(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
 
-def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> Eliminated:
+def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> Elimination:
     """Solve for all groups.
 
     Args:
@@ -301,11 +301,11 @@ def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> 
     inverse = (vectors * (1.0 / values)[:, None, :]) @ vectors.transpose(0, 2, 1)
     inverse = inverse * scale[:, :, None] * scale[:, None, :]
     X, y = inverse @ C, np.einsum("guv,gv->gu", inverse, b)
-    return Eliminated(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
+    return Elimination(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
 
 
 def reduced(
-    equations: NormalEquations, sums: Sums, elimination: Eliminated, beforehand: Known, sigma: np.ndarray
+    equations: NormalEquations, sums: Sums, elimination: Elimination, beforehand: Known, sigma: np.ndarray
 ) -> NormalEquations:
     """Normal equations of the coefficients with the groups solved for; prior knowledge counts in the groups' main channel.
 
@@ -351,5 +351,5 @@ def moved(states: States, groups: Groups, instruments: Instruments, step: np.nda
 
 
 def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
-    """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Eliminated`."""
+    """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Elimination`."""
     return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

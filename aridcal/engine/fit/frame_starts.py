@@ -44,7 +44,7 @@ class FrameStart:
 
 
 @dataclass(frozen=True)
-class Posed:
+class PoseRows:
     """Rows that measure the target's place, and the frames that each belongs to.
 
     Attributes:
@@ -65,7 +65,7 @@ class Posed:
 
 
 def start_frames(
-    data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
+    data: PoseRows, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames
 ) -> list[FrameStart]:
     """Candidate starts for unknown T_world_base and T_tip_target; a fit from each tells which is right.
 
@@ -92,7 +92,7 @@ def start_frames(
     return [_with_target(data, world_base, t, hint_tip) for world_base, t in places]
 
 
-def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
+def best_start(data: PoseRows, known_world: Frames | None, known_tip: Frames | None, hint_tip: Frames) -> FrameStart:
     """The start with the smallest misfit; see :func:`start_frames`."""
     channels = kind_of_places(data.M).channels
 
@@ -108,12 +108,12 @@ def best_start(data: Posed, known_world: Frames | None, known_tip: Frames | None
     return min(start_frames(data, known_world, known_tip, hint_tip), key=left)
 
 
-def _points(data: Posed, t: np.ndarray) -> np.ndarray:
+def _points(data: PoseRows, t: np.ndarray) -> np.ndarray:
     """Target in the base frame for target translations t, shape (tips, 3)."""
     return data.p + np.einsum("nij,nj->ni", data.R, t[data.tip])
 
 
-def _columns(data: Posed, tips: int) -> np.ndarray:
+def _columns(data: PoseRows, tips: int) -> np.ndarray:
     """Derivatives of the targets in the base frame by the target translations, shape (N, 3, 3 tips)."""
     columns = np.zeros((len(data.p), 3, 3 * tips))
     for k in range(tips):
@@ -129,7 +129,7 @@ def _centred(values: np.ndarray, label: np.ndarray) -> np.ndarray:
     return out
 
 
-def _levers(data: Posed, hint: np.ndarray) -> list[np.ndarray]:
+def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     """Target translations t, shape (tips, 3) each, that let the measured points fall on the robot's.
 
     Minimises over t the misfit after Kabsch's rotation: |m|^2 + |c(t)|^2 - 2 sum over worlds of the (signed) nuclear norm
@@ -155,7 +155,7 @@ def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
     return distinct
 
 
-def _lever_cost(data: Posed, tips: int) -> Cost:
+def _lever_cost(data: PoseRows, tips: int) -> Cost:
     r"""Misfit of target translations t and its slope, the base following by Kabsch, in units of the points' spread.
 
     .. math:: |m|^2 + |c_0 + C t|^2 - 2 \sum_w (\sigma_1 + \sigma_2 \pm \sigma_3)(H_{0w} + H_{1w} t)
@@ -228,7 +228,7 @@ def _slide(cost: Cost, t: np.ndarray, gap: np.ndarray, size: float) -> np.ndarra
     return np.asarray(V @ np.where(moves < SLIGHT**2, np.clip(along, -reach, reach), 0.0))
 
 
-def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
+def _kabsch(data: PoseRows, t: np.ndarray, turned: np.ndarray | None) -> Frames:
     """T_world_base of each world frame for known target translations, from positions and, where measured, rotations.
 
     Args:
@@ -250,7 +250,7 @@ def _kabsch(data: Posed, t: np.ndarray, turned: np.ndarray | None) -> Frames:
     return tuple(frames)
 
 
-def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]:
+def _kronecker(data: PoseRows, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]:
     """Rotations from orientations alone (Shah 2013, doi:10.1115/1.4024473), both signs; then translations linearly."""
     assert data.M is not None
     turns = []
@@ -262,7 +262,7 @@ def _kronecker(data: Posed, hint: np.ndarray) -> list[tuple[Frames, np.ndarray]]
     return [_translations(data, RX, hint) for RX in rotations]
 
 
-def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames, np.ndarray]:
+def _translations(data: PoseRows, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames, np.ndarray]:
     """Translations for known rotations: m = RX (p + R t) + tX is linear in t and tX; t is the nearest to its hint."""
     tips, n = len(hint), len(data.p)
     turn = RX[data.world]
@@ -280,7 +280,7 @@ def _translations(data: Posed, RX: np.ndarray, hint: np.ndarray) -> tuple[Frames
     return world_base, hint + x.reshape(tips, 3)
 
 
-def _levers_from_worlds(data: Posed, world_base: Frames, tips: int) -> np.ndarray:
+def _levers_from_worlds(data: PoseRows, world_base: Frames, tips: int) -> np.ndarray:
     """Target translations t, shape (tips, 3), that belong to given world_base frames."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tX = np.array([frame.translation for frame in world_base])[data.world]
@@ -289,7 +289,7 @@ def _levers_from_worlds(data: Posed, world_base: Frames, tips: int) -> np.ndarra
     return np.array([np.median(lever[data.tip == k], axis=0) for k in range(tips)])
 
 
-def _with_target(data: Posed, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
+def _with_target(data: PoseRows, world_base: Frames, t: np.ndarray, hint: Frames) -> FrameStart:
     """The start of given world_base frames and target translations, the targets' rotations from the measured ones."""
     RX = np.array([frame.rotation for frame in world_base])[data.world]
     tips = []

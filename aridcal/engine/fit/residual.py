@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Eliminated, Projector, Sums, projector, reduced, solved, tied_columns
+from aridcal.engine.fit.elimination import Elimination, Projector, Sums, projector, reduced, solved, tied_columns
 from aridcal.engine.fit.flags import cauchy, robust_sigma
 from aridcal.engine.fit.normal_equations import NormalEquations
 from aridcal.engine.fit.problem import Problem, scaled
@@ -56,7 +56,7 @@ class Linearisation:
     weight: np.ndarray
     equations: NormalEquations
     agreed: np.ndarray
-    groups: Eliminated | None = None
+    groups: Elimination | None = None
 
     def squares(self, weight: np.ndarray, sigma: np.ndarray, channels: Channels) -> float:
         """Sum of squares in sigmas, rows counted by weight, with the squares of the declared facts on the things."""
@@ -166,14 +166,14 @@ def eliminated(
 
 def _with_things(
     question: Problem, theta: np.ndarray, weight: np.ndarray, sigma: np.ndarray
-) -> tuple[Problem, Eliminated | None]:
+) -> tuple[Problem, Elimination | None]:
     """The question where measurements and model agree, and its groups solved; arguments as for :func:`eliminated`."""
     question = question.agreeing(theta)
     return question, None if question.groups is None else linearise(question, theta, weight, sigma).groups
 
 
 def _without_things(
-    question: Problem, theta: np.ndarray, things: Eliminated | None
+    question: Problem, theta: np.ndarray, things: Elimination | None
 ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
     """Stretches as of :func:`eliminated`, for groups that are solved."""
     for block in question.blocks():

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.fit.frame_starts import Posed, best_start
+from aridcal.engine.fit.frame_starts import PoseRows, best_start
 from aridcal.engine.instruments.descent import Place
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.kind import Kind
@@ -196,7 +196,7 @@ def _from_poses(rows: NominalRows, some: np.ndarray, at: Beginning) -> Beginning
     targets = {k: at.tip_target.get(k) for k in numbers.tolist()}
     known_targets = tuple(T for T in targets.values() if T is not None)
     best = best_start(
-        Posed(rows.R[some], rows.p[some], M, rows.data.position[some], rows.station[some], tip),
+        PoseRows(rows.R[some], rows.p[some], M, rows.data.position[some], rows.station[some], tip),
         None if rows.world is None else at.world_base,
         known_targets if len(known_targets) == len(targets) else None,
         tuple(rows.hints[k] for k in targets),

@@ -228,7 +228,7 @@ def unpacked(observed: np.ndarray, sonars: int) -> Shots:
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ShotPoses:
     """n shots as poses, and what they say of the head beyond them.
 
     Attributes:
@@ -254,7 +254,7 @@ class Reduced:
     range_residuals: np.ndarray
 
 
-def reduced(shots: Shots, head: Head) -> Reduced:
+def reduced(shots: Shots, head: Head) -> ShotPoses:
     """Shots as poses and traces, with the head as it is."""
     T, y, B, D = _at_best(shots, head)
     back, S = B.transpose(0, 2, 1), shots.ranges.shape[1]
@@ -267,7 +267,7 @@ def reduced(shots: Shots, head: Head) -> Reduced:
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
     world = shots.T_world_square
     J = carried(world[:, :, :3], p)
-    return Reduced(
+    return ShotPoses(
         rotation=world[:, :, :3] @ Rc,
         position=np.einsum("nij,nj->ni", world[:, :, :3], p) + world[:, :, 3],
         covariance=J @ C @ J.transpose(0, 2, 1),
@@ -388,7 +388,7 @@ def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarra
     return reduction.position, reduction.rotation
 
 
-def _of_rows(observed: np.ndarray, states: States) -> Reduced:
+def _of_rows(observed: np.ndarray, states: States) -> ShotPoses:
     """Rows of one head, reduced."""
     head = Head.of_state(states[0][0])
     return reduced(unpacked(observed, len(head.positions)), head)

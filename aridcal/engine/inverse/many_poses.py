@@ -62,7 +62,7 @@ class ArmRows:
         return self.model.by_readings(self.theta, self.model.rows(readings, covariates, *labels))
 
 
-class Approached(NamedTuple):
+class SearchEnd(NamedTuple):
     """Where a search for each row has ended.
 
     Attributes:
@@ -112,7 +112,7 @@ class InverseRows:
         fixed: np.ndarray,
         covariates: Mapping[str, np.ndarray],
         steps: int = MOST_STEPS,
-    ) -> Approached:
+    ) -> SearchEnd:
         """Search for each row, from a seed.
 
         Args:
@@ -127,7 +127,7 @@ class InverseRows:
             part = slice(start, start + ROWS_AT_ONCE)
             conditions = {name: values[part] for name, values in covariates.items()}
             parts.append(self._approach(poses[part], seeds[part], fixed[part], conditions, steps))
-        return Approached(*map(np.concatenate, zip(*parts, strict=True)))
+        return SearchEnd(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _approach(
         self,
@@ -136,11 +136,11 @@ class InverseRows:
         fixed: np.ndarray,
         covariates: Mapping[str, np.ndarray],
         steps: int,
-    ) -> Approached:
+    ) -> SearchEnd:
         low, high = (np.where(np.isnan(fixed), limit, fixed) for limit in (self.low, self.high))
         q = np.clip(seeds, low, high)
         e, J = self.error(poses, q, covariates)
-        result = Approached(q.copy(), e.copy(), J.copy())
+        result = SearchEnd(q.copy(), e.copy(), J.copy())
         size = np.einsum("ni,ni->n", e, e)
         rows = np.flatnonzero(size >= POSE_TOLERANCE**2)  # those that are still under way
         q, e, J, size, damping = q[rows], e[rows], J[rows], size[rows], np.zeros(len(rows))

@@ -12,7 +12,7 @@ from aridcal.engine.instruments.kinds import KINDS
 from aridcal.engine.rows.dataset import Dataset, RowNoise, of_block, weighed, with_sigma
 
 
-def with_stated_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Dataset:
+def with_declared_noise(data: Dataset, states: Mapping[str, np.ndarray]) -> Dataset:
     """The rows weighed by the noise that they declare themselves; rows of kinds that declare none stay as they are.
 
     Args:

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect import LINK_COMPONENTS, Coefficient
 from aridcal.engine.model.joint_motions import Motion, joint_model, motion, rank, transform
-from aridcal.engine.model.many_rows import LEAST_TOGETHER, Moving, Stepped, stepped, twists, walked
+from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walked
 from aridcal.engine.robot.chain import Fixed, Joint, Robot
 from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
@@ -62,7 +62,7 @@ class Slot(NamedTuple):
         return self.where if self.group == "own" else ".".join(self)
 
 
-class Jointed(NamedTuple):
+class PlacedJoint(NamedTuple):
     """A joint of the extended model: where it stands on the one before, which it is, how it moves."""
 
     placement: pin.SE3
@@ -365,14 +365,14 @@ class ExtendedModel:
                 carrier[joint] = step.slot
         return {slot: bodies[name] for name, slot in carrier.items()}
 
-    def _joints(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[list[Jointed], pin.SE3]:
+    def _joints(self, world_base: pin.SE3, tip_target: pin.SE3) -> tuple[list[PlacedJoint], pin.SE3]:
         """Every joint with its placement on the one before, in the order of ``index``, and the target's on the last."""
-        joints: list[Jointed] = []
+        joints: list[PlacedJoint] = []
         pending = world_base
 
         def add(slot: Slot, move: Motion) -> None:
             nonlocal pending
-            joints.append(Jointed(pending, slot, move))
+            joints.append(PlacedJoint(pending, slot, move))
             pending = pin.SE3.Identity()
 
         for slot in frame_slots("world_base", self._needed):
@@ -386,7 +386,7 @@ class ExtendedModel:
             add(slot, motion(slot.component))
         return joints, pending
 
-    def _poses_together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[Moving], np.ndarray, np.ndarray]:
+    def _poses_together(self, q: np.ndarray, world: int, tip: int) -> tuple[list[MovingFrame], np.ndarray, np.ndarray]:
         """The frames that move, and poses, all rows walked at once with one pair of frames."""
         placements, end = self._ends(world, tip)
         for k, placement in placements.items():
@@ -414,7 +414,7 @@ class ExtendedModel:
         return before, after, len(frame_slots("tip_target", self._needed))
 
     @cached_property
-    def _stepped(self) -> Stepped:
+    def _stepped(self) -> JointArrays:
         """All joints of the extended model as arrays."""
         joints, _ = self._joints(pin.SE3.Identity(), pin.SE3.Identity())
         return stepped([(placement, move) for placement, _, move in joints])

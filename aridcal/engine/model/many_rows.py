@@ -39,7 +39,7 @@ def few(n: int) -> list[slice]:
     return [slice(start, start + LEAST_TOGETHER - 1) for start in range(0, max(n, 1), LEAST_TOGETHER - 1)]
 
 
-class Stepped(NamedTuple):
+class JointArrays(NamedTuple):
     """Joints one after the other, nv of them.
 
     Attributes:
@@ -55,7 +55,7 @@ class Stepped(NamedTuple):
     across: np.ndarray
 
 
-class Moving(NamedTuple):
+class MovingFrame(NamedTuple):
     """A frame that moves from row to row: the axes and the origin of a joint after its motion. Rows come last: so they lie.
 
     Attributes:
@@ -71,11 +71,11 @@ class Moving(NamedTuple):
     screws: np.ndarray
 
 
-def stepped(joints: Sequence[tuple[pin.SE3, Motion]]) -> Stepped:
+def stepped(joints: Sequence[tuple[pin.SE3, Motion]]) -> JointArrays:
     """Joints as arrays, from the placement of each on the one before and its motion."""
     vector = np.array([move[0] for _, move in joints])
     e1, _ = transverse(vector)
-    return Stepped(
+    return JointArrays(
         placement=np.array([placement.homogeneous for placement, _ in joints]),
         vector=vector,
         turns=np.array([move[1] for _, move in joints], dtype=bool),
@@ -83,7 +83,7 @@ def stepped(joints: Sequence[tuple[pin.SE3, Motion]]) -> Stepped:
     )
 
 
-def walked(joints: Stepped, q: np.ndarray, target: np.ndarray) -> tuple[list[Moving], np.ndarray, np.ndarray]:
+def walked(joints: JointArrays, q: np.ndarray, target: np.ndarray) -> tuple[list[MovingFrame], np.ndarray, np.ndarray]:
     """Walk the joints.
 
     Args:
@@ -101,7 +101,7 @@ def walked(joints: Stepped, q: np.ndarray, target: np.ndarray) -> tuple[list[Mov
     axes, origin = np.repeat(np.eye(3)[:, :, None], n, axis=2), np.zeros((3, n))
     frames, first = [], 0
     for k in np.flatnonzero(moves).tolist():
-        frames.append(Moving(axes, origin, slice(first, k + 1), screws[:, first : k + 1]))
+        frames.append(MovingFrame(axes, origin, slice(first, k + 1), screws[:, first : k + 1]))
         first = k + 1
         origin = origin + _along(axes, placements[k, :3, 3])
         axes = _along(axes, placements[k, :3, :3] @ joints.across[k])
@@ -113,11 +113,11 @@ def walked(joints: Stepped, q: np.ndarray, target: np.ndarray) -> tuple[list[Mov
     end = end @ target
     place, last = origin + _along(axes, end[:3, 3]), screws[:, first:].copy()
     last[:3] -= np.cross(end[:3, 3], last[3:].T).T
-    frames.append(Moving(axes, place, slice(first, nv), last))
+    frames.append(MovingFrame(axes, place, slice(first, nv), last))
     return frames, _along(axes, end[:3, :3]).transpose(2, 1, 0), place.T
 
 
-def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
+def twists(frames: Sequence[MovingFrame], target: np.ndarray) -> np.ndarray:
     """Twists of the target in world axes by each joint, shape (n, 6, nv): linear, then angular. In memory rows run fastest.
 
     Args:
@@ -138,7 +138,7 @@ def twists(frames: Sequence[Moving], target: np.ndarray) -> np.ndarray:
     return columns.reshape(-1, 6, n).transpose(2, 1, 0)
 
 
-def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _between(joints: JointArrays, value: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Where all joints are in the frame of the last one before them that moves.
 
     Args:
@@ -167,7 +167,7 @@ def _between(joints: Stepped, value: np.ndarray, moves: np.ndarray) -> tuple[np.
     return placements, np.hstack([v, np.where(turns, axis, 0.0)]).T, here
 
 
-def _still_transforms(joints: Stepped, value: np.ndarray) -> np.ndarray:
+def _still_transforms(joints: JointArrays, value: np.ndarray) -> np.ndarray:
     """The transform of each joint that stands still, shape (nv, 4, 4), from its coordinate, shape (nv,)."""
     transforms = np.zeros((len(value), 4, 4))
     transforms[:, 3, 3] = 1.0

@@ -81,7 +81,7 @@ def rotations(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
     return np.eye(3) + s * x + (1.0 - c) * (x @ x)
 
 
-class Walked(NamedTuple):
+class JointFrames(NamedTuple):
     """A joint of the tree in N configurations, in the base's frame. In memory rows run fastest.
 
     Attributes:
@@ -97,7 +97,7 @@ class Walked(NamedTuple):
     origin: np.ndarray
 
 
-def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[Walked]:
+def tree_frames(robot: Robot, readings: np.ndarray) -> Iterator[JointFrames]:
     """Walk the whole tree for N rows at once, nominal placements, the root's own frame first and parents before their children.
 
     Args:
@@ -165,7 +165,7 @@ def link_frame(robot: Robot, link: str) -> pin.Frame:
 
 def _walk(
     robot: Robot, readings: np.ndarray, root: tuple[np.ndarray, np.ndarray], still: Collection[int]
-) -> Iterator[Walked]:
+) -> Iterator[JointFrames]:
     """Walk the whole tree from its root.
 
     Each of three axes, or a place, has its numbers in the base, shape (3, N): all that is done with them is long sums.
@@ -178,7 +178,7 @@ def _walk(
     """
     model = robot.tree
     R, p = ({0: numbers} for numbers in root)
-    yield Walked(0, R[0].transpose(2, 1, 0), R[0].transpose(2, 1, 0), p[0].T)
+    yield JointFrames(0, R[0].transpose(2, 1, 0), R[0].transpose(2, 1, 0), p[0].T)
     for k in range(1, model.njoints):
         parent, placement = model.parents[k], model.jointPlacements[k]
         bearing = np.empty_like(R[0])
@@ -189,7 +189,7 @@ def _walk(
         if q is not None:
             axes, origin = _after_motion(bearing, origin, *robot.moves[model.names[k]], q)
         R[k], p[k] = axes, origin
-        yield Walked(k, bearing.transpose(2, 1, 0), axes.transpose(2, 1, 0), origin.T)
+        yield JointFrames(k, bearing.transpose(2, 1, 0), axes.transpose(2, 1, 0), origin.T)
 
 
 def along(axes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -201,7 +201,7 @@ def along(axes: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     return np.asarray(sum(parts[1:], parts[0]) if parts else np.zeros(axes.shape[1:]))
 
 
-def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -> np.ndarray:
+def gravity_loads(robot: Robot, walked: Sequence[JointFrames], gravity: np.ndarray) -> np.ndarray:
     r"""Gravity's pull on everything beyond each joint of the chain, from the nominal masses.
 
     .. math:: f = \sum_b m_b g, \quad \tau = \sum_b m_b (c_b - o) \times g
@@ -238,7 +238,7 @@ def gravity_loads(robot: Robot, walked: Sequence[Walked], gravity: np.ndarray) -
     return borne_by(chain, wrenches)
 
 
-def borne_by(joints: Sequence[Walked], wrenches: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def borne_by(joints: Sequence[JointFrames], wrenches: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Force [N] and moment [N m] of each of some joints, (3,) or (N, 3), in its axes before it turns, shape (N, joints, 6)."""
     loads = np.empty((len(joints), 6, len(joints[0].origin)))
     for load, joint, parts in zip(loads, joints, wrenches, strict=True):
@@ -258,7 +258,7 @@ def joint_frames(robot: Robot, readings: np.ndarray) -> tuple[np.ndarray, np.nda
     return axes, origins
 
 
-def of_chain(robot: Robot, walked: Sequence[Walked]) -> list[Walked]:
+def of_chain(robot: Robot, walked: Sequence[JointFrames]) -> list[JointFrames]:
     """The chain's own joints, of the whole tree."""
     at = {step.joint: step for step in walked}
     return [at[robot.tree.getJointId(name)] for name in robot.names]
@@ -297,7 +297,7 @@ def start_frames(
     return R, p, linked
 
 
-def carried(robot: Robot, walked: Sequence[Walked], link: str) -> tuple[np.ndarray, np.ndarray]:
+def carried(robot: Robot, walked: Sequence[JointFrames], link: str) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of any link in the base frame, nominal, in a tree that was walked."""
     frame = link_frame(robot, link)
     return _on(next(step for step in walked if step.joint == frame.parentJoint), frame)
@@ -320,7 +320,7 @@ def carriers(robot: Robot, route: Route) -> np.ndarray:
     return np.any(robot.factors[beyond if beyond.any() else np.isin(ids, list(down ^ up))] != 0.0, axis=0)
 
 
-def _on(joint: Walked, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
+def _on(joint: JointFrames, link: pin.Frame) -> tuple[np.ndarray, np.ndarray]:
     """Axes (N, 3, 3) and origins (N, 3) of a link, from where the joint is that moves it."""
     axes = joint.axes.T
     turned = np.array([along(axes, numbers) for numbers in link.placement.rotation.T])

@@ -36,7 +36,7 @@ Places = Mapping[str, np.ndarray]
 """Links in the frame of the root, shape (K, 4, 4) each, [m], in K configurations."""
 
 
-class NotReadBack(AridcalError):
+class ReadBackError(AridcalError):
     """A URDF does not say what it was meant to say.
 
     Attributes:
@@ -84,7 +84,7 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     intended = link_places(tree, positions, origins)
     fault = _fault(intended, lambda: _by_pinocchio(same_chain(robot, urdf).tree, positions, tree))
     if fault is not None:
-        raise NotReadBack(file, "Pinocchio", fault)
+        raise ReadBackError(file, "Pinocchio", fault)
 
     def second(content: bytes, places: Places) -> Fault | None:
         return _fault(places, lambda: _by_yourdfpy(content, positions))
@@ -95,7 +95,7 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     nominal = link_places(tree, positions, {})
     own_fault = second(robot.urdf, nominal)
     if own_fault is None:
-        raise NotReadBack(file, "yourdfpy", fault)
+        raise ReadBackError(file, "yourdfpy", fault)
     remark = (
         f"{robot.path.name}: yourdfpy {own_fault.words}; URDFs that are written from it were read back by Pinocchio"
     )
@@ -103,7 +103,7 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     if fault is None:
         return (f"{remark} and, without shapes and inertias, by yourdfpy",)
     if second(_bare(robot.urdf, robot.path), nominal) is None:
-        raise NotReadBack(file, "yourdfpy", fault)
+        raise ReadBackError(file, "yourdfpy", fault)
     return (f"{remark} alone",)
 
 

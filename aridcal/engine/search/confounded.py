@@ -30,7 +30,7 @@ is left, which is more than the 3 nats of a tie of all that passes the gates."""
 
 
 @dataclass(frozen=True)
-class Tied:
+class RivalModel:
     """One rival of an effect, and the model with it in the effect's place.
 
     Attributes:
@@ -137,7 +137,7 @@ def _kind_over(effect: Effect, name: str, form: str) -> str:
 
 def tied(
     state: State, constants: Sequence[Coefficient], twins: Sequence[Sequence[tuple[Effect, Score]]]
-) -> tuple[Tied, ...]:
+) -> tuple[RivalModel, ...]:
     r"""Weights of the rivals of each effect, and the model with each of them.
 
     A cause is what an effect depends on. Causes are equally likely beforehand, and places of one cause, too: that a library lists
@@ -162,7 +162,7 @@ def tied(
 
 def _rivals(
     state: State, constants: Sequence[Coefficient], named: Active, twins: Sequence[tuple[Effect, Score]]
-) -> Iterator[Tied]:
+) -> Iterator[RivalModel]:
     """The rivals of one effect."""
     without, before = without_effect(state, named.effect), state.coefficients(constants)
     for (effect, score), weight in zip(twins[1:], weights(twins)[1:], strict=True):
@@ -170,7 +170,7 @@ def _rivals(
         with_it = without.with_active((*without.active, rival), noise_with(without, score), fixed=True)
         after = with_it.coefficients(constants)
         change = {c: after.get(c, 0.0) - before.get(c, 0.0) for c in (before | after)}
-        yield Tied(effect, named.effect, weight, tuple((c, value) for c, value in change.items() if value != 0.0))
+        yield RivalModel(effect, named.effect, weight, tuple((c, value) for c, value in change.items() if value != 0.0))
 
 
 def weights(twins: Sequence[tuple[Effect, Score]]) -> list[float]:

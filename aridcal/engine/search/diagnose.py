@@ -22,7 +22,7 @@ from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
-from aridcal.engine.search.confounded import Tied, tied, twins
+from aridcal.engine.search.confounded import RivalModel, tied, twins
 from aridcal.engine.search.covariate_table import look
 from aridcal.engine.search.curves import reshaped
 from aridcal.engine.search.declared import tied_to_frames, with_declared, with_fields
@@ -88,7 +88,7 @@ Shaped = tuple[Effect, float, Kernel]
 
 
 @dataclass(frozen=True)
-class Diagnosed:
+class SearchResult:
     """The final model and the search that led to it.
 
     Attributes:
@@ -111,7 +111,7 @@ class Diagnosed:
     barred: tuple[Barred, ...]
     scattered: bool
     confounded: tuple[tuple[Effect, ...], ...] = ()
-    tied: tuple[Tied, ...] = ()
+    tied: tuple[RivalModel, ...] = ()
 
     @property
     def linear(self) -> LinearModel:
@@ -175,8 +175,8 @@ def diagnose(
     geometric: Fit,
     train: Dataset,
     progress: Progress = SILENT,
-    before: Diagnosed | None = None,
-) -> Diagnosed:
+    before: SearchResult | None = None,
+) -> SearchResult:
     """Find the effects that the geometric model lacks, and fit all together.
 
     Args:
@@ -209,8 +209,8 @@ def diagnose(
 
 
 def _search_once(
-    question: Question, every: Start, before: Diagnosed | None, scatter: tuple[Effect, ...] = ()
-) -> Diagnosed:
+    question: Question, every: Start, before: SearchResult | None, scatter: tuple[Effect, ...] = ()
+) -> SearchResult:
     """One search in all training rows; see :func:`diagnose` and :class:`Setting`."""
     start, progress = _fewer_rows(every), every.progress
     geometric = start.geometric
@@ -285,15 +285,17 @@ def _search_once(
         progress(f"fitting all {len(every.train)} rows")
         final = _fit_all_rows(replace(every, limit=limits(every.train)), state, final)
     result = replace(result, state=state)
-    return Diagnosed(final, linearised_at, observed, result, tuple(named), tuple(barred_effects), scattered or settled)
+    return SearchResult(
+        final, linearised_at, observed, result, tuple(named), tuple(barred_effects), scattered or settled
+    )
 
 
-def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: Diagnosed) -> float:
+def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: SearchResult) -> float:
     """Evidence for the effects of a search on some rows, [nat], the scatter of places with them where it is clear."""
     return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
-def told_apart(diagnosed: Diagnosed, progress: Progress = SILENT) -> Diagnosed:
+def told_apart(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
     """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
     state = diagnosed.found.state
     rivals = twins(state, diagnosed.named, progress)

@@ -17,7 +17,7 @@ from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_th
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import KINDS
 from aridcal.engine.levels import BLOCKS, PLAINLY, SEVERAL
-from aridcal.engine.model.declared_noise import with_stated_noise
+from aridcal.engine.model.declared_noise import with_declared_noise
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import sights_of
 from aridcal.engine.model.rigid_bodies import targets_of_one_body
@@ -26,7 +26,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.diagnose import Diagnosed, diagnose, told_apart
+from aridcal.engine.search.diagnose import SearchResult, diagnose, told_apart
 from aridcal.engine.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
@@ -73,7 +73,7 @@ class CalibratedArm:
 
     rows: Dataset
     geometry: Geometry
-    diagnosed: Diagnosed
+    diagnosed: SearchResult
     causes: NoiseCauses | None = None
 
 
@@ -91,7 +91,7 @@ def calibrated_arm(
         rows = rows.with_repeats(share=1.0 / bodies)
         geometry = fit_constants(question, robot, rows, labels, progress)
 
-    def fitted(data: Dataset, geometry: Geometry, before: Diagnosed | None = None) -> CalibratedArm:
+    def fitted(data: Dataset, geometry: Geometry, before: SearchResult | None = None) -> CalibratedArm:
         arm = fit_arm(question, geometry, data, progress, before)
         progress("asking what the scatter is made of")
         return replace(arm, causes=_causes(arm, rows, progress, shapes=False))
@@ -116,7 +116,7 @@ def calibrated_arm(
     moved = with_things_moved(arm.geometry.geometric, arm.diagnosed.fit)
     if moved is not None and any(KINDS[block.kind].noise for block in rows.blocks):
         progress("weighing the rows by what the instruments, as found, leave open, and fitting again")
-        rows = with_stated_noise(rows, moved.states)
+        rows = with_declared_noise(rows, moved.states)
         geometry = weighed_anew(rows)
         arm = fitted(rows, geometry, arm.diagnosed)
     if arm.causes is not None and arm.causes.relative is not None:
@@ -199,7 +199,7 @@ def fit_constants(
 
 
 def fit_arm(
-    question: Question, geometry: Geometry, rows: Dataset, progress: Progress, before: Diagnosed | None = None
+    question: Question, geometry: Geometry, rows: Dataset, progress: Progress, before: SearchResult | None = None
 ) -> CalibratedArm:
     """Search effects beside the constants, on the training rows, and fit all together.
 

@@ -13,7 +13,7 @@ from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import Repeats
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
-from aridcal.engine.trust.workspace import Knowledge, Untold, Workspace, ends, knowledge, spread_out
+from aridcal.engine.trust.workspace import Knowledge, OpenCombination, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
 """Work: Configurations among which those of a slice are looked for."""
@@ -69,7 +69,7 @@ class Certainty:
     title: str
     tool: tuple[float, float, float]
     kept: tuple[Kept, ...]
-    untold: tuple[Untold, ...]
+    untold: tuple[OpenCombination, ...]
 
     @property
     def within(self) -> bool:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Eliminated, Groups, Known, Sums, solved
+from aridcal.engine.fit.elimination import Elimination, Groups, Known, Sums, solved
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import Channels, spread
@@ -60,7 +60,7 @@ class Columns:
     def __len__(self) -> int:
         return len(self.r)
 
-    def solved(self, some: np.ndarray | slice = slice(None)) -> Eliminated:
+    def solved(self, some: np.ndarray | slice = slice(None)) -> Elimination:
         """The things solved from some of the rows alone."""
         count, channels = self.J.shape[2], len(self.channels)
         count_of_groups, width = (0, 0) if self.groups is None else self.groups.unknown.shape
@@ -71,11 +71,11 @@ class Columns:
         )
         if self.groups is None:
             empty = np.zeros((0, 0, 0))
-            return Eliminated(np.zeros((0, 0, count)), np.zeros((0, 0)), empty, 0.0, np.zeros(0))
+            return Elimination(np.zeros((0, 0, count)), np.zeros((0, 0)), empty, 0.0, np.zeros(0))
         sums.add(self.group[some], self.B[some], self.J[some], self.r[some], self.channels)
         return solved(sums, self.groups, self.known, np.ones(channels))
 
-    def equations(self, things: Eliminated, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    def equations(self, things: Elimination, some: np.ndarray | slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """H (K, K) and g (K,) of some of the rows, their things solved for as :meth:`solved` has it for the same rows."""
         J, group = self.J[some], self.group[some]
         residuals, _ = self.less(self.r[some, :, None], self.known.left[:, None], things, some)
@@ -88,7 +88,7 @@ class Columns:
         return flat.T @ without_things.reshape(flat.shape), flat.T @ residuals.ravel()
 
     def less(
-        self, values: np.ndarray, known: np.ndarray, things: Eliminated, some: np.ndarray | slice = slice(None)
+        self, values: np.ndarray, known: np.ndarray, things: Elimination, some: np.ndarray | slice = slice(None)
     ) -> tuple[np.ndarray, np.ndarray]:
         """Right-hand sides less what the things take up of them.
 

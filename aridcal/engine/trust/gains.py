@@ -20,8 +20,8 @@ from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.levels import FAINT, FOLDS
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.confounded import Tied
-from aridcal.engine.search.diagnose import Diagnosed
+from aridcal.engine.search.confounded import RivalModel
+from aridcal.engine.search.diagnose import SearchResult
 from aridcal.engine.search.noise_tests import Clue
 from aridcal.engine.search.scoring import held_back
 
@@ -116,10 +116,10 @@ class Diagnosis:
     tested: int
     clues: tuple[Clue, ...]
     over_time: float | None = None
-    tied: tuple[Tied, ...] = ()
+    tied: tuple[RivalModel, ...] = ()
 
 
-def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
+def explain(diagnosed: SearchResult, every: Dataset, scored: np.ndarray, clues: Sequence[Clue]) -> Diagnosis:
     """Gather the results of the search.
 
     Args:
@@ -145,7 +145,7 @@ def explain(diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, clues: Seq
 
 
 def _named(
-    diagnosed: Diagnosed, every: Dataset, scored: np.ndarray, groups: Mapping[tuple[object, ...], Sequence[int]]
+    diagnosed: SearchResult, every: Dataset, scored: np.ndarray, groups: Mapping[tuple[object, ...], Sequence[int]]
 ) -> tuple[NamedEffect, ...]:
     """Each effect, the largest first, with the residuals of all rows with it and without it.
 
@@ -186,7 +186,7 @@ def _named(
     return tuple(effects)
 
 
-def _over_time(diagnosed: Diagnosed) -> float | None:
+def _over_time(diagnosed: SearchResult) -> float | None:
     """Position error with whole stretches of time held back, on the linear model; None where no effect depends on time."""
     linear, state = diagnosed.linear, diagnosed.found.state
     of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
@@ -245,7 +245,7 @@ def _rms(r: np.ndarray, channels: Channels) -> float:
     return float(np.sqrt(np.mean(np.sum(measured**2, axis=1)))) if len(measured) else 0.0
 
 
-def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
+def _curves(effect: Effect, diagnosed: SearchResult) -> list[Curve]:
     """The effect's motions, each over the covariate it depends on first."""
     identified = set(diagnosed.fit.model.names)
     curves: list[Curve] = []
@@ -260,7 +260,7 @@ def _curves(effect: Effect, diagnosed: Diagnosed) -> list[Curve]:
     return curves
 
 
-def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], diagnosed: Diagnosed) -> Curve:
+def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], diagnosed: SearchResult) -> Curve:
     """One motion over one covariate, and what each row asks for: its residual pulled back, plus the model's motion."""
     fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.found.state
     index = [fit.model.names.index(c.name) for c in part]

@@ -28,7 +28,7 @@ from scipy.special import fdtrc
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import covariate_table
-from aridcal.engine.fit.elimination import Eliminated
+from aridcal.engine.fit.elimination import Elimination
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import across, pseudo_inverse, root_of_inverse
 from aridcal.engine.levels import RARE
@@ -285,7 +285,7 @@ def _sides(
     rows: Columns,
     divided: list[Division],
     of_half: np.ndarray,
-    things: Eliminated,
+    things: Elimination,
     flat: np.ndarray,
     route: np.ndarray | None,
 ) -> Iterator[_Side]:

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.model.model import Model
 from aridcal.engine.trust.unobservable import with_untold
-from aridcal.engine.trust.workspace import Untold, target_covariance
+from aridcal.engine.trust.workspace import OpenCombination, target_covariance
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def with_rivals(model: Model, theta: np.ndarray, rivals: Sequence[Rival]) -> tup
         The model with the coefficients of rivals beside its own, the mean of all, and their covariance.
     """
     mean: dict[Coefficient, float] = {}
-    roots: list[Untold] = []
+    roots: list[OpenCombination] = []
     for effect in dict.fromkeys(rival.instead_of for rival in rivals):
         of_effect = [rival for rival in rivals if rival.instead_of == effect]
         shift: dict[Coefficient, float] = {}

@@ -31,7 +31,7 @@ class Lever:
 
 
 @dataclass(frozen=True)
-class AtTarget:
+class TargetView:
     """Rows of any kind as they are seen from the target.
 
     Attributes:
@@ -75,7 +75,7 @@ class AtTarget:
         return medians[0], medians[1]
 
 
-def at_target(fit: Fit, rows: Dataset) -> AtTarget:
+def at_target(fit: Fit, rows: Dataset) -> TargetView:
     """Look at N rows of any kind from the target.
 
     Args:
@@ -89,10 +89,10 @@ def at_target(fit: Fit, rows: Dataset) -> AtTarget:
         numbers = slice(0, columns(rows.channels)[-1].stop)
         of_all = _lever(np.arange(len(rows)), numbers, np.eye(6)[None, numbers])
         shift, turn = (np.broadcast_to(some, (len(rows), *some.shape[1:])) for some in (of_all.shift, of_all.turn))
-        return AtTarget(p, (replace(of_all, shift=shift, turn=turn),))
+        return TargetView(p, (replace(of_all, shift=shift, turn=turn),))
     by_twist = measured.settled(fit.theta).slopes(R, p, fit.theta).by_twist
     blocks = [(np.flatnonzero(measured.block == b), part) for b, part in enumerate(measured.parts)]
-    return AtTarget(p, tuple(_lever(some, part, by_twist[some, part]) for some, part in blocks))
+    return TargetView(p, tuple(_lever(some, part, by_twist[some, part]) for some, part in blocks))
 
 
 def _lever(rows: np.ndarray, part: slice, by_twist: np.ndarray) -> Lever:

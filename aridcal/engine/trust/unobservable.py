@@ -8,10 +8,12 @@ import numpy as np
 
 from aridcal.engine.model.model import Model, Rows
 from aridcal.engine.trust.coverage import CHANNELS
-from aridcal.engine.trust.workspace import TOLD, Untold, target_covariance, worst_direction
+from aridcal.engine.trust.workspace import TOLD, OpenCombination, target_covariance, worst_direction
 
 
-def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tuple[Model, np.ndarray, np.ndarray]:
+def with_untold(
+    model: Model, theta: np.ndarray, untold: Sequence[OpenCombination]
+) -> tuple[Model, np.ndarray, np.ndarray]:
     """A model with the constants that no reading tells beside its own, its coefficients, and their covariance.
 
     Args:
@@ -29,7 +31,7 @@ def with_untold(model: Model, theta: np.ndarray, untold: Sequence[Untold]) -> tu
     return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
-def told_of(model: Model, theta: np.ndarray, untold: Sequence[Untold], rows: Rows, turns: bool) -> np.ndarray:
+def told_of(model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: Rows, turns: bool) -> np.ndarray:
     """Rows at which the readings tell the target wholly, shape (N,) bool.
 
     Args:

@@ -48,7 +48,7 @@ TOLD = 0.01
 FAINTLY = 0.1
 """Share of :data:`TOLD` by which a combination of constants moves the target somewhere, or is kept in no file."""
 
-Untold = tuple[tuple[Coefficient, float], ...]
+OpenCombination = tuple[tuple[Coefficient, float], ...]
 """A combination of constants, each with how far it may be off together with the others, [m] and [rad]."""
 
 ENOUGH = 20_000
@@ -199,7 +199,7 @@ class Knowledge:
         by_open = twists[:, :, local.carrier[local.plain]] @ combinations
         return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
 
-    def untold(self, rows: Rows, turns: bool) -> tuple[Untold, ...]:
+    def untold(self, rows: Rows, turns: bool) -> tuple[OpenCombination, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
 
         Args:

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.basis import ALWAYS, FORMS, Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.labels import is_label
 from aridcal.engine.trust.rival_predictions import Rival
-from aridcal.engine.trust.workspace import Untold
+from aridcal.engine.trust.workspace import OpenCombination
 from aridcal.files.query import FramesBy
 from aridcal.files.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.system.errors import CampaignError, has_controls
@@ -330,7 +330,7 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
         raise CampaignError(f"{problem}. {NOT_OURS}") from None
 
 
-def untold_document(combinations: Sequence[Untold]) -> list[list[dict[str, Any]]]:
+def untold_document(combinations: Sequence[OpenCombination]) -> list[list[dict[str, Any]]]:
     """Combinations of constants that no reading tells, as plain data."""
     return [
         [{"where": c.where, "component": c.component, "station": c.station, "value": value} for c, value in part]
@@ -338,7 +338,7 @@ def untold_document(combinations: Sequence[Untold]) -> list[list[dict[str, Any]]
     ]
 
 
-def untold_of(document: CalibrationDocument) -> tuple[Untold, ...]:
+def untold_of(document: CalibrationDocument) -> tuple[OpenCombination, ...]:
     """Combinations from what :func:`untold_document` wrote."""
     return tuple(
         tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold

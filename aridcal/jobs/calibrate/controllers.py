@@ -64,7 +64,7 @@ class Export:
 
 
 @dataclass(frozen=True)
-class Handover:
+class ControllerExports:
     """All exports of a calibration.
 
     Attributes:
@@ -94,7 +94,7 @@ class Handover:
         return f"{figures[0]} {self.channel.shown}, {', '.join(figures[1:])}"
 
 
-def hand_over(outcome: Outcome) -> Handover:
+def controller_exports(outcome: Outcome) -> ControllerExports:
     """Work out the export for each kind of controller.
 
     Joint-zero offsets alone, and constants that go with the joints' own curves, are fitted anew to the training rows:
@@ -132,7 +132,7 @@ def hand_over(outcome: Outcome) -> Handover:
     exports.append(export("full model", ("calibration.yaml",), final.fit))
     zeros = dict(zip(offsets.model.names, offsets.theta, strict=True))
     robot = outcome.robot
-    return Handover(
+    return ControllerExports(
         exports=tuple(exports),
         rows=f"{int(judging.sum())} {kind}",
         channel=m.channels[first],
@@ -150,7 +150,7 @@ def by_region(outcome: Outcome) -> Regions | None:
     return regions(outcome.stage("final").fit, m, ~m.test & ~outcome.outlier, [e.effect for e in outcome.effects])
 
 
-def write_controllers(outcome: Outcome, handover: Handover, folder: Path) -> None:
+def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Path) -> None:
     """Write the exports into a result folder; each file that takes comments states the error that remains."""
     robot = outcome.robot
 
@@ -273,7 +273,7 @@ def index_document(outcome: Outcome, of_regions: Regions) -> dict[str, Any]:
     return {"format": 1, "scale": scale, "regions": {region.name: entry(region) for region in of_regions.every}}
 
 
-def _statement(handover: Handover, name: str) -> list[str]:
+def _statement(handover: ControllerExports, name: str) -> list[str]:
     """An export's own error in words."""
     chosen = next(e for e in handover.exports if e.name == name)
     channel = handover.channel

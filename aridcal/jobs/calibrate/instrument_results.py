@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
-from aridcal.engine.fit.elimination import Eliminated, Groups
+from aridcal.engine.fit.elimination import Elimination, Groups
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import linearise
@@ -114,7 +114,7 @@ class _Solved:
     """Groups solved for, with the covariance (K, K) of the coefficients that they follow and the names of their unknowns."""
 
     groups: Groups
-    things: Eliminated
+    things: Elimination
     covariance: np.ndarray
     members: list[list[str]]
 

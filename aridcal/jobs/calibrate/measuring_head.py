@@ -9,7 +9,7 @@ import numpy as np
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.stages import with_things_moved
 from aridcal.engine.instruments.camera import predict_pixels
-from aridcal.engine.instruments.camera_sonar import HEAD, Head, Reduced, reduced, unpacked
+from aridcal.engine.instruments.camera_sonar import HEAD, Head, ShotPoses, reduced, unpacked
 from aridcal.engine.rows.dataset import Dataset, with_places
 from aridcal.jobs.calibrate.closed_form import ClosedForm, closed_form
 from aridcal.jobs.head1992.observations import Detections
@@ -143,7 +143,7 @@ def _numbers(final: Fit, declared: Head) -> tuple[HeadNumber, ...]:
     )  # fmt: skip
 
 
-def _scatter(shots: Reduced) -> float:
+def _scatter(shots: ShotPoses) -> float:
     """RMS misfit of image points and ranges within shots, in sigmas; wild shots count less."""
     share = shots.misfit / np.maximum(shots.freedom, 1.0)
     usual = max(float(np.median(share)), 1.0)

@@ -18,7 +18,7 @@ from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.gains import Diagnosis, NamedEffect
 from aridcal.engine.trust.iso9283 import Iso9283, iso_9283
 from aridcal.engine.trust.second_look import SecondLook
-from aridcal.engine.trust.target_uncertainty import AtTarget, at_target
+from aridcal.engine.trust.target_uncertainty import TargetView, at_target
 from aridcal.engine.trust.uncertainty import Precision
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.calibrate.instrument_results import ThingValue, thing_values
@@ -139,7 +139,7 @@ class Outcome:
         return () if self.diagnosis is None else self.diagnosis.effects
 
     @cached_property
-    def at_target(self) -> AtTarget:
+    def at_target(self) -> TargetView:
         """The rows as seen from the target of the final model."""
         return at_target(self.stages[-1].fit, self.measurements)
 

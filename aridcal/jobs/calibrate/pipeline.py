@@ -22,7 +22,7 @@ from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
 from aridcal.engine.search.declared import CONFOUNDED, NO_BETTER
-from aridcal.engine.search.diagnose import SEARCHED, Diagnosed
+from aridcal.engine.search.diagnose import SEARCHED, SearchResult
 from aridcal.engine.search.loop import (
     LEAST_FREEDOM,
     CalibratedArm,
@@ -307,7 +307,7 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
     return groups(rows.select(some), residual[some], final)
 
 
-def _derived_notices(rows: Dataset, diagnosed: Diagnosed) -> tuple[str, ...]:
+def _derived_notices(rows: Dataset, diagnosed: SearchResult) -> tuple[str, ...]:
     """Sentences on effects of a side of approach that was derived from the order of the rows."""
     needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.origin.derived]
     return tuple(

@@ -28,7 +28,7 @@ from aridcal.engine.robot.kinematics import carriers
 from aridcal.engine.trust.rival_predictions import Rival, with_rivals
 from aridcal.engine.trust.unobservable import with_untold
 from aridcal.engine.trust.wander import Wander
-from aridcal.engine.trust.workspace import Untold, target_std
+from aridcal.engine.trust.workspace import OpenCombination, target_std
 from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.query import FramesBy
@@ -157,7 +157,7 @@ class SavedModel:
     record: dict[str, Any]
     holes: dict[str, Ranges] = field(default_factory=dict)
     largest_std: tuple[float, float] = (np.inf, np.inf)
-    untold: tuple[Untold, ...] = ()
+    untold: tuple[OpenCombination, ...] = ()
     recorded: dict[str, tuple[float, float]] = field(default_factory=dict)
     rivals: tuple[Rival, ...] = ()
     route: Route | None = None

@@ -26,7 +26,7 @@ from aridcal.engine.rows.row_facts import Labels
 from aridcal.engine.trust.coverage import holes, largest
 from aridcal.engine.trust.rival_predictions import Rival
 from aridcal.engine.trust.wander import wanders
-from aridcal.engine.trust.workspace import Untold
+from aridcal.engine.trust.workspace import OpenCombination
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
@@ -270,7 +270,7 @@ def _of_one(c: Coefficient) -> Coefficient:
     return replace(c, station=None) if c.where == "tip_target" else c
 
 
-def _of_target(unobservable: Sequence[Untold], fit: Fit, target: _Target) -> tuple[Untold, ...]:
+def _of_target(unobservable: Sequence[OpenCombination], fit: Fit, target: _Target) -> tuple[OpenCombination, ...]:
     """Combinations that no reading tells, without their terms on instruments and on frames that hold no saved target."""
     things = fit.model.instruments.names
     combinations = []

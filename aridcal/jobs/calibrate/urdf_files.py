@@ -11,7 +11,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.effect import FRAMES
 from aridcal.engine.fit.constants import is_zero, origins_of, urdf_of
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.read_back import CONFIGURATIONS, TOLERANCE, Fault, NotReadBack, link_places, read_back
+from aridcal.engine.robot.read_back import CONFIGURATIONS, TOLERANCE, Fault, ReadBackError, link_places, read_back
 from aridcal.engine.robot.tree import read_tree
 
 
@@ -58,4 +58,4 @@ def _check_tips(file: str, model: Model, theta: np.ndarray, origins: Mapping[str
         off = max(float(np.abs(T[:, :3, :3] - R).max()), float(np.abs(T[:, :3, 3] - p).max()))
         if not off <= TOLERANCE * max(1.0, float(np.abs(p).max())):
             fault = Fault(f"has link {limb.tip!r} elsewhere, by {off:.2g} m or rad", limb.tip)
-            raise NotReadBack(file, "the model", fault)
+            raise ReadBackError(file, "the model", fault)

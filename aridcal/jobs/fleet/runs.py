@@ -22,7 +22,7 @@ SAVE_EVERY = 60.0
 
 
 @dataclass(frozen=True)
-class Ran:
+class FleetResults:
     """Results of a fleet.
 
     Attributes:
@@ -43,7 +43,7 @@ class Ran:
 
 
 @dataclass(frozen=True)
-class Planned:
+class FleetPlan:
     """The work that a fleet needs.
 
     Attributes:
@@ -63,7 +63,7 @@ class Planned:
     inputs: dict[str, Inputs]
 
 
-def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress) -> Planned:
+def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress) -> FleetPlan:
     """Find the robots whose folder does not hold their result.
 
     Args:
@@ -93,10 +93,10 @@ def planned(fleet: Sequence[Member], out: Path, write: Write, progress: Progress
             tasks[task_name(member.name, folder, inputs.key)] = Task(
                 member.name, str(member.campaign), str(folder), inputs.key, write
             )
-    return Planned(tuple(fleet), out, tuple(merged(rows, rows_known.values())), rows_known, tasks, inputs_of_robot)
+    return FleetPlan(tuple(fleet), out, tuple(merged(rows, rows_known.values())), rows_known, tasks, inputs_of_robot)
 
 
-def computed(plan: Planned, engine: Engine, progress: Progress) -> Ran:
+def computed(plan: FleetPlan, engine: Engine, progress: Progress) -> FleetResults:
     """Calibrate the robots that a plan has tasks for.
 
     The table is written before, every minute and after, also if the work is stopped.
@@ -129,7 +129,7 @@ def computed(plan: Planned, engine: Engine, progress: Progress) -> Ran:
     finally:
         write_rows(rows, plan.out)
     last = latest(rows)
-    return Ran(
+    return FleetResults(
         rows=tuple(rows),
         now={m.name: last[m.name] for m in plan.fleet if m.name in last} | results,
         kept=tuple(name for name, row in plan.known.items() if row["status"] == DONE),

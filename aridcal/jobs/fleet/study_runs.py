@@ -32,7 +32,7 @@ SCHEMA = pa.schema(
 
 
 @dataclass(frozen=True)
-class Studied:
+class StudyResult:
     """What became of a study.
 
     Attributes:
@@ -76,7 +76,7 @@ def write_runs(rows: Mapping[str, Row], trials: Mapping[str, Trial], folder: Pat
 
 def studied(
     trials: Mapping[str, Trial], known: Mapping[str, Row], folder: Path, engine: Engine, progress: Progress
-) -> Studied:
+) -> StudyResult:
     """Do every run that is not known; the table is written every minute and at the end, also if the work is stopped.
 
     Args:
@@ -107,4 +107,4 @@ def studied(
         gone = str(problem)
     finally:
         ordered = write_runs(rows, trials, folder)
-    return Studied(ordered, len(known), len(trials) - len(rows), gone)
+    return StudyResult(ordered, len(known), len(trials) - len(rows), gone)

@@ -17,7 +17,7 @@ import pandas as pd
 
 from aridcal.engine.instruments.camera_sonar import HEAD, Head, HeadShot, channels, packed
 from aridcal.engine.instruments.setup import Block, Instruments, Things
-from aridcal.engine.model.declared_noise import with_stated_noise
+from aridcal.engine.model.declared_noise import with_declared_noise
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.remarks import Remark
@@ -159,7 +159,7 @@ def shot_rows(rows: Dataset, shots: Sequence[HeadShot], head: Head, campaign: Ca
         labels=replace(rows.labels, block=np.zeros(n, dtype=int), refers=np.tile([HEAD, *(ROLES - 1) * [""]], (n, 1))),
         instruments=head_things(head),
     )
-    return with_stated_noise(dataset, {HEAD: head.state[None]})
+    return with_declared_noise(dataset, {HEAD: head.state[None]})
 
 
 def head_things(head: Head) -> Instruments:

@@ -51,7 +51,7 @@ DAY_ZERO = pd.Timestamp("1970-01-01")
 
 
 @dataclass(frozen=True)
-class Watched:
+class ConstantHistory:
     """One constant of one robot.
 
     Attributes:
@@ -100,16 +100,16 @@ class RobotHistory:
     name: str
     runs: pd.DataFrame
     errors: pd.DataFrame
-    watched: tuple[Watched, ...]
+    watched: tuple[ConstantHistory, ...]
     notices: tuple[str, ...]
 
     @property
-    def alarms(self) -> tuple[Watched, ...]:
+    def alarms(self) -> tuple[ConstantHistory, ...]:
         """Constants that changed."""
         return tuple(w for w in self.watched if w.alarm)
 
     @property
-    def cycles(self) -> tuple[Watched, ...]:
+    def cycles(self) -> tuple[ConstantHistory, ...]:
         """Constants that may go with the season."""
         return tuple(w for w in self.watched if w.cycles)
 
@@ -175,7 +175,7 @@ def history(of: Runs, only: str | None = None) -> History:
     scatter = _scatter(all_series)
     all_series = [(r, c, unit, replace(s, std=scatter[c] * s.std)) for r, c, unit, s in all_series]
     cycles = _cycles(all_series)
-    watched: dict[str, list[Watched]] = {name: [] for name in robots}
+    watched: dict[str, list[ConstantHistory]] = {name: [] for name in robots}
     for robot, constant, unit, series in all_series:
         watched[robot].append(_judged(robot, constant, unit, series, len(all_series), cycles.get(constant)))
     histories = []
@@ -271,10 +271,10 @@ def _cycles(all_series: Sequence[tuple[str, str, str, Series]]) -> dict[str, Cyc
     return fleet_cycles
 
 
-def _judged(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> Watched:
+def _judged(robot: str, constant: str, unit: str, series: Series, count: int, cycle: Cycle | None) -> ConstantHistory:
     """One series, judged as one of ``count``."""
     shows = evidence(series)
     looks = count * max(len(series.day), LOOKS_PER_SEASON)
     p_value, p_any = min(1.0, looks * shows.p_value), min(1.0, looks * shows.p_any)
     change = dated(series, cycle) if p_value < FALSE_ALARMS else None
-    return Watched(robot, constant, unit, series, shows, p_value, p_any, change)
+    return ConstantHistory(robot, constant, unit, series, shows, p_value, p_any, change)

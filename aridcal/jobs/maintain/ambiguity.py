@@ -11,10 +11,10 @@ from aridcal.engine.model.model import Rows
 from aridcal.engine.robot.kinematics import joint_frames, tip_frames
 from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.jobs.maintain.hypotheses import Suspect
+from aridcal.jobs.maintain.hypotheses import Hypothesis
 from aridcal.jobs.maintain.likelihoods import Question, covariance_of, likely
 from aridcal.jobs.maintain.new_rows import LEAST_SIGMA
-from aridcal.jobs.maintain.unknowns import Wide
+from aridcal.jobs.maintain.unknowns import WideModel
 from aridcal.jobs.plan.beforehand import bodies
 from aridcal.jobs.plan.clearance import clear
 
@@ -29,8 +29,8 @@ DISTINCT_SIGMAS = 3.0
 
 
 def alike(
-    freed: Question, named: Suspect, question: Question, suspects: Sequence[Suspect]
-) -> list[tuple[Suspect, Question]]:
+    freed: Question, named: Hypothesis, question: Question, suspects: Sequence[Hypothesis]
+) -> list[tuple[Hypothesis, Question]]:
     """Other suspects that, free to move, explain the rows as well as the named cause; the best first."""
     reference = _squares(freed)
     explanations = []
@@ -65,7 +65,7 @@ class Telling:
 
 
 def telling(
-    saved: SavedModel, unknowns: Wide, question: Question, others: Sequence[tuple[Suspect, Question]]
+    saved: SavedModel, unknowns: WideModel, question: Question, others: Sequence[tuple[Hypothesis, Question]]
 ) -> tuple[Telling, ...]:
     """For each suspect that the rows do not refute, the configuration at which its prediction differs most from the cause's.
 
@@ -111,7 +111,7 @@ def _clear(saved: SavedModel) -> np.ndarray:
     return readings[free] if free.any() else readings
 
 
-def _of_target(saved: SavedModel, unknowns: Wide, question: Question, readings: np.ndarray) -> Rows:
+def _of_target(saved: SavedModel, unknowns: WideModel, question: Question, readings: np.ndarray) -> Rows:
     """The calibration's own target in some configurations, as the wide model sees them."""
     model, data = question.problem.model, question.problem.data
     n = len(readings)

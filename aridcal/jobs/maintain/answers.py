@@ -10,7 +10,7 @@ from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.jobs.calibrate.outcome import said
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
-from aridcal.jobs.maintain.checking import Cause, Checked
+from aridcal.jobs.maintain.checking import Cause, CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Change
 from aridcal.system.wording import enumerated
@@ -23,7 +23,7 @@ MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
 
-def check_lines(checked: Checked, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
+def check_lines(checked: CheckResult, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
     """The answer of `aridcal check`, the verdict first; before it temperatures that the calibration did not see.
 
     Args:
@@ -70,7 +70,7 @@ def left_out_line(outcomes: RepairOutcomes) -> str:
     return f"error of the new rows: {before} before, {repaired} after, {without_row} where each is left out{held_out}"
 
 
-def _heat_line(checked: Checked) -> list[str]:
+def _heat_line(checked: CheckResult) -> list[str]:
     """A warning where the rows were measured outside the calibration's temperatures, with what heat alone does."""
     heat = checked.heat
     if heat is None:
@@ -93,7 +93,7 @@ def _error(error: Bounds) -> str:
     )
 
 
-def _verdict(checked: Checked) -> str:
+def _verdict(checked: CheckResult) -> str:
     """Yes or no, and how often that is wrong."""
     chance = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
     if checked.tolerance is None:
@@ -107,7 +107,7 @@ def _verdict(checked: Checked) -> str:
     return f"still good: the error {certainty} within {limit} ({chance})"
 
 
-def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
+def _cause_lines(checked: CheckResult, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
     """One cause: what, by how much, how sure, and what would tell it from another."""
     probability = f" (probability {_percent(cause.probability)})"
     if change is None:
@@ -135,7 +135,7 @@ def _cause_lines(checked: Checked, cause: Cause, change: Change | None, settings
     return lines
 
 
-def amount(change: Change, checked: Checked) -> str:
+def amount(change: Change, checked: CheckResult) -> str:
     """By how much something moved."""
     value, std = change.value, change.std
     if change.cause.kind == "zero":

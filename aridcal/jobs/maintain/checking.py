@@ -17,10 +17,10 @@ from aridcal.files.campaign import Frames
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.ambiguity import Telling, alike, telling
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
-from aridcal.jobs.maintain.hypotheses import Suspect, suspects, widened
+from aridcal.jobs.maintain.hypotheses import Hypothesis, suspects, widened
 from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, Question, alarm, evidence, likely, taken_up
 from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
-from aridcal.jobs.maintain.unknowns import Wide, wide_of
+from aridcal.jobs.maintain.unknowns import WideModel, wide_of
 from aridcal.system.errors import MeasurementError
 
 MOST_CAUSES = 4
@@ -52,7 +52,7 @@ class Cause:
     where: str
     words: str
     probability: float
-    suspect: Suspect | None = None
+    suspect: Hypothesis | None = None
     size: float = 0.0
     alike: tuple[str, ...] = ()
     telling: tuple[Telling, ...] = ()
@@ -78,7 +78,7 @@ class Heat:
 
 
 @dataclass(frozen=True)
-class Checked:
+class CheckResult:
     """What new rows say of a calibration.
 
     Attributes:
@@ -108,8 +108,8 @@ class Checked:
     question: Question
     error: Bounds | None
     tolerance: float | None
-    unknowns: Wide
-    unseen: tuple[Suspect, ...] = ()
+    unknowns: WideModel
+    unseen: tuple[Hypothesis, ...] = ()
     heat: Heat | None = None
 
     @property
@@ -164,7 +164,9 @@ def asked(
     )
 
 
-def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, frames: Frames | None = None) -> Checked:
+def check(
+    saved: SavedModel, rows: Dataset, tolerance: float | None = None, frames: Frames | None = None
+) -> CheckResult:
     """Compare new rows with a calibration, and name what moved.
 
     Args:
@@ -202,7 +204,7 @@ def check(saved: SavedModel, rows: Dataset, tolerance: float | None = None, fram
             f"{rows.title}: a tolerance is of lengths, and these rows measure none; check without --tolerance, or measure "
             "positions, points, distances or planes"
         )
-    return Checked(
+    return CheckResult(
         rows,
         wide,
         noise,
@@ -239,7 +241,9 @@ def with_unknowns(question: Question) -> np.ndarray:
     return likely(replace(question, covariance=np.diag(free))).theta
 
 
-def seen_by(question: Question, suspects_asked: Sequence[Suspect]) -> tuple[tuple[Suspect, ...], tuple[Suspect, ...]]:
+def seen_by(
+    question: Question, suspects_asked: Sequence[Hypothesis]
+) -> tuple[tuple[Hypothesis, ...], tuple[Hypothesis, ...]]:
     """Suspects that rows can show, and those that unknowns hide: the base, say, where the points around it are unknown."""
     if not question.unknown.any():
         return tuple(suspects_asked), ()
@@ -254,7 +258,7 @@ def seen_by(question: Question, suspects_asked: Sequence[Suspect]) -> tuple[tupl
 
 
 def _next(
-    saved: SavedModel, unknowns: Wide, question: Question, suspects_left: Sequence[Suspect], rows: Dataset
+    saved: SavedModel, unknowns: WideModel, question: Question, suspects_left: Sequence[Hypothesis], rows: Dataset
 ) -> tuple[Cause, Question]:
     """The most probable cause of what the rows show, and the question with this cause allowed for."""
     explanations = []

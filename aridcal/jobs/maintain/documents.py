@@ -16,7 +16,7 @@ from aridcal.files.yaml_file import decode
 from aridcal.jobs.calibrate.folder import finite, frames, parameters, residual_columns, residual_table, result_document
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.maintain.checking import Checked
+from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Repaired
 from aridcal.system.errors import AridcalError
@@ -26,7 +26,7 @@ UNNAMED = "unknown"
 """Kind of an effect of which the calibration before keeps coefficients alone."""
 
 
-def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Checked) -> dict[str, Any]:
+def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: CheckResult) -> dict[str, Any]:
     """Where a repaired calibration comes from: the one before, and the rows that changed it.
 
     Args:
@@ -54,7 +54,7 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
 
 
 def document(
-    outcomes: RepairOutcomes, checked: Checked, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
+    outcomes: RepairOutcomes, checked: CheckResult, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
 ) -> dict[str, Any]:
     """All figures of a repair: those of every calibration, on the new rows, and what moved.
 

@@ -30,7 +30,7 @@ FORMS_WITHOUT_CHANGE = ("ones", "step")
 
 
 @dataclass(frozen=True)
-class Suspect:
+class Hypothesis:
     """A hypothesis: something of the robot that may have moved.
 
     Attributes:
@@ -67,7 +67,7 @@ def widened(solved: SolvedModel) -> SolvedModel:
     return SolvedModel(model.with_coefficients((*model.coefficients, *missing)), theta, covariance)
 
 
-def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | None]] = ()) -> tuple[Suspect, ...]:
+def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | None]] = ()) -> tuple[Hypothesis, ...]:
     """All suspects: zeros of joints, frames, effects.
 
     Args:
@@ -84,7 +84,7 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
         return directions
 
     candidates = [
-        Suspect(
+        Hypothesis(
             "zero",
             joint.name,
             f"the zero of {model.robot.place_in_words(joint.name)}",
@@ -113,11 +113,11 @@ def suspects(wide: SolvedModel, rows: Dataset, new: Collection[tuple[str, str | 
             words = (
                 noun if label is None else f"{noun} at station {label}" if at == "station" else f"the target {label}"
             )
-            candidates.append(Suspect("frame", name, words, along(coefficients), CHANGE_SIZES))
+            candidates.append(Hypothesis("frame", name, words, along(coefficients), CHANGE_SIZES))
     return (*candidates, *_effects(wide))
 
 
-def _effects(wide: SolvedModel) -> Iterator[Suspect]:
+def _effects(wide: SolvedModel) -> Iterator[Hypothesis]:
     """Each effect of the model: coefficients at one place that depend on the same covariates.
 
     Each coefficient may change by itself, but a map only as a whole: samples that change one by one fit what is no part of it.
@@ -129,7 +129,7 @@ def _effects(wide: SolvedModel) -> Iterator[Suspect]:
             directions = np.zeros((len(wide.theta), 1 if smooth else len(indices)))
             directions[indices] = values[:, None] if smooth else size * np.eye(len(indices))
             words = effect_in_words(wide.model.robot.place_in_words(where), of)
-            yield Suspect("effect", where, words, directions, EFFECT_RATIOS)
+            yield Hypothesis("effect", where, words, directions, EFFECT_RATIOS)
 
 
 def effect_groups(coefficients: Sequence[Coefficient]) -> dict[tuple[str, tuple[str, ...], bool], list[int]]:

@@ -29,7 +29,7 @@ from aridcal.jobs.calibrate.outcome import Outcome, Stage
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.jobs.maintain.checking import Checked, asked, with_unknowns
+from aridcal.jobs.maintain.checking import CheckResult, asked, with_unknowns
 from aridcal.jobs.maintain.hypotheses import widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
 from aridcal.jobs.maintain.repair import Repaired
@@ -56,7 +56,7 @@ class RepairOutcomes:
     left_out: np.ndarray
 
 
-def repair_outcomes(saved: SavedModel, checked: Checked, repair: Repaired) -> RepairOutcomes:
+def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repaired) -> RepairOutcomes:
     """Residuals of a repaired calibration at the new rows, and at its own predictions.
 
     Args:
@@ -207,7 +207,7 @@ def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
     )
 
 
-def _beside(name: str, solved: SolvedModel, checked: Checked, constants_set: str) -> Stage:
+def _beside(name: str, solved: SolvedModel, checked: CheckResult, constants_set: str) -> Stage:
     """A stage with the residuals of the new rows, their unknowns fitted to them."""
     wide = wide_of(widened(solved), checked.rows)
     question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)

@@ -12,10 +12,10 @@ from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, Coeffic
 from aridcal.engine.model.model import Model
 from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.maintain.checking import Cause, Checked
-from aridcal.jobs.maintain.hypotheses import Suspect, widened
+from aridcal.jobs.maintain.checking import Cause, CheckResult
+from aridcal.jobs.maintain.hypotheses import Hypothesis, widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
-from aridcal.jobs.maintain.unknowns import Place, Wide
+from aridcal.jobs.maintain.unknowns import Place, WideModel
 from aridcal.system.errors import MeasurementError, listed
 
 
@@ -53,7 +53,7 @@ class Repaired:
     residual: np.ndarray
 
 
-def changes(checked: Checked) -> tuple[Change, ...]:
+def changes(checked: CheckResult) -> tuple[Change, ...]:
     """Size of each move: of new frames first, then of the causes."""
     solution = likely(checked.question)
     moved = solution.theta - checked.wide.theta
@@ -69,7 +69,7 @@ def changes(checked: Checked) -> tuple[Change, ...]:
     return (*_anew(checked, solution.theta, std), *moves)
 
 
-def _anew(checked: Checked, theta: np.ndarray, std: np.ndarray) -> Iterator[Change]:
+def _anew(checked: CheckResult, theta: np.ndarray, std: np.ndarray) -> Iterator[Change]:
     """Changes of frames that the rows' own campaign calls new, along and about the axes of the old frame."""
     unknowns = checked.unknowns
     model = unknowns.solved.model
@@ -95,7 +95,7 @@ def _anew(checked: Checked, theta: np.ndarray, std: np.ndarray) -> Iterator[Chan
         )
 
 
-def _frames_now(unknowns: Wide, theta: np.ndarray) -> dict[Place, pin.SE3]:
+def _frames_now(unknowns: WideModel, theta: np.ndarray) -> dict[Place, pin.SE3]:
     """All frames of the wide model, as the calibration labels them."""
     world, tip = unknowns.solved.model.frames(theta)
     renamed = [(None if unknowns.renamed and label == ONE_TARGET else label, frame) for label, frame in tip]
@@ -111,7 +111,7 @@ def unit_of(model: Model, k: int) -> str:
     return "m" if c.component in ("x", "y", "z", "t1", "t2", "a", "d") else "rad"
 
 
-def repaired(saved: SavedModel, checked: Checked) -> Repaired:
+def repaired(saved: SavedModel, checked: CheckResult) -> Repaired:
     """The calibration with what moved fitted to the new rows.
 
     Args:
@@ -167,7 +167,7 @@ REFUSAL_P_VALUE = 1e-3
 in the same rows."""
 
 
-def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance: np.ndarray) -> SolvedModel:
+def _settled(unknowns: WideModel, before: SolvedModel, theta: np.ndarray, covariance: np.ndarray) -> SolvedModel:
     """The wide model as a calibration again: no coefficients that are 0 and known, no instruments, frames where they are now.
 
     Args:
@@ -196,7 +196,7 @@ def _settled(unknowns: Wide, before: SolvedModel, theta: np.ndarray, covariance:
 
 
 def _geometric(
-    before: SolvedModel, checked: Checked, theta: np.ndarray, std: np.ndarray, moved: Sequence[Suspect]
+    before: SolvedModel, checked: CheckResult, theta: np.ndarray, std: np.ndarray, moved: Sequence[Hypothesis]
 ) -> SolvedModel:
     """The geometric stage with the same zeros and frames moved; effects are no part of this stage.
 
@@ -216,10 +216,10 @@ def _geometric(
                 c = checked.unknowns.of_calibration(checked.wide.model.coefficients[k])
                 now[number[c]] += theta[k] - checked.wide.theta[k]
                 covariance[number[c], number[c]] = std[k] ** 2
-    return _settled(Wide(wide, wide, np.zeros(len(now), dtype=bool)), before, now, covariance)
+    return _settled(WideModel(wide, wide, np.zeros(len(now), dtype=bool)), before, now, covariance)
 
 
-def _with_new_frames(geometric: SolvedModel, unknowns: Wide, final: SolvedModel) -> SolvedModel:
+def _with_new_frames(geometric: SolvedModel, unknowns: WideModel, final: SolvedModel) -> SolvedModel:
     """The geometric stage with frames that were fitted anew moved as the final stage's were."""
     model = geometric.model
     frames = {"world_base": dict(model.world_base), "tip_target": dict(model.tip_target)}

@@ -33,7 +33,7 @@ Place = tuple[str, str | None]
 
 
 @dataclass(frozen=True)
-class Wide:
+class WideModel:
     """A calibrated model beside new rows.
 
     Attributes:
@@ -64,7 +64,7 @@ class Wide:
         return replace(c, station=None) if mine else c
 
 
-def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = None) -> Wide:
+def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = None) -> WideModel:
     """The wide model of new rows.
 
     Args:
@@ -103,10 +103,10 @@ def wide_of(solved: SolvedModel, rows: Dataset, frames: FrameChoice | None = Non
         for where, label in sorted(new, key=str):
             theta = frame_start(question, theta, where, label)
         model, theta = model.recentred(theta)
-        return Wide(solved, SolvedModel(model, theta, covariance), fitted, frozenset(new))
+        return WideModel(solved, SolvedModel(model, theta, covariance), fitted, frozenset(new))
     model, theta, covariance, of_things = _with_things(_with_starts(model, theta, rows, new), theta, covariance, rows)
     unknown = np.concatenate([fitted, of_things])
-    return Wide(solved, SolvedModel(model, theta, covariance), unknown, frozenset(new), renamed)
+    return WideModel(solved, SolvedModel(model, theta, covariance), unknown, frozenset(new), renamed)
 
 
 def _with_targets(model: Model, rows: Dataset) -> Model:

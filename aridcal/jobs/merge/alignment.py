@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from aridcal.engine.fit.frame_starts import Posed, start_frames
+from aridcal.engine.fit.frame_starts import PoseRows, start_frames
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.jobs.merge.clocks import Clocks
@@ -117,7 +117,7 @@ def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
     one_frame = np.zeros(len(m), dtype=int)
     candidates = [
         Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
-        for start in start_frames(Posed(R, p, None, m, one_frame, one_frame), None, None, (pin.SE3.Identity(),))
+        for start in start_frames(PoseRows(R, p, None, m, one_frame, one_frame), None, None, (pin.SE3.Identity(),))
     ]
     return min(candidates, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))
 

@@ -38,7 +38,7 @@ FEWEST_ROWS = 3
 
 
 @dataclass(frozen=True)
-class Pictured:
+class ImageRows:
     """Rows, each with the number of its image.
 
     Attributes:
@@ -56,7 +56,7 @@ class Pictured:
     notices: tuple[str, ...]
 
 
-def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> Pictured:
+def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> ImageRows:
     """Choose an image for each standstill of the joints.
 
     Raises:
@@ -98,7 +98,7 @@ def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> P
     remark = (
         f"{camera.title}: one image for each standstill, the nearest to its middle; {clock} of both are by one clock"
     )
-    return Pictured(
+    return ImageRows(
         table, np.array([frame_of[k] for k in rows]), sizes[frame_of[rows[0]]], unpaired, (*log.notes, remark)
     )
 

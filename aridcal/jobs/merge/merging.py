@@ -22,7 +22,7 @@ from aridcal.jobs.merge.others import carried
 from aridcal.jobs.merge.pairs import FEWEST_SAMPLES as FEWEST_SAMPLES
 from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
-from aridcal.jobs.merge.written_as import Tracked, in_si, tracked
+from aridcal.jobs.merge.written_as import TrackerRows, in_si, tracked
 from aridcal.jobs.prepare.condition_columns import SAMPLES
 from aridcal.jobs.prepare.guesses import Asker
 from aridcal.jobs.prepare.propose import STRANGE_SHARE
@@ -62,7 +62,7 @@ class Unpaired:
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergeResult:
     """Rows from two logs, and how they were made.
 
     Attributes:
@@ -89,7 +89,7 @@ class Merged:
     joints: Log
     still: Standstills
     tips: np.ndarray
-    tracker: Tracked
+    tracker: TrackerRows
     tracked: Standstills
     found: Pairs
     averages: Averages
@@ -98,7 +98,7 @@ class Merged:
     notices: tuple[str, ...]
 
 
-def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -> Merged:
+def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -> MergeResult:
     """Join two logs.
 
     Args:
@@ -167,7 +167,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
     )
     unpaired = _unpaired(clocks, joints.log, still, si.log, tracker_still, windows_of_both)
     tips = speeds(joints.log, tip_frames(robot, q)[1])
-    return Merged(
+    return MergeResult(
         table, clocks, best.candidate.correlation, moves, joints.log, still, tips, si, tracker_still, paired, average, residual,
         tuple(sorted([*unpaired, *creeping], key=lambda one: (one.log, one.begin))),
         (*joints.log.notes, *si.log.notes, *spike_notes, *remarks),
@@ -201,7 +201,7 @@ def _clocks_from_moves(
     joints: Log,
     q: np.ndarray,
     still: Standstills,
-    si: Tracked,
+    si: TrackerRows,
     tracker_still: Standstills,
 ) -> tuple[Clocks, Moves]:
     """Offset and drift from all moves, round after round."""

@@ -24,7 +24,7 @@ QUATERNION_NORMS = (0.9, 1.1)
 
 
 @dataclass(frozen=True)
-class Tracked:
+class TrackerRows:
     """A tracker's log in SI.
 
     Attributes:
@@ -44,7 +44,7 @@ class Tracked:
     words: tuple[str, ...]
 
 
-def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Asker) -> Tracked:
+def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Asker) -> TrackerRows:
     """Find units and orientation.
 
     Args:
@@ -116,7 +116,7 @@ def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: 
         steps = np.r_[steps, np.full(3, turn * finest)]
         log, quaternion = _rotations(log, orientation, settings)
     words = tuple(g.why for g in proposal.guesses if g.key in ("measurements.units", "measurements.orientation"))
-    return Tracked(log, log.of(place) * settings.units.metres, quaternion, steps, units, words)
+    return TrackerRows(log, log.of(place) * settings.units.metres, quaternion, steps, units, words)
 
 
 def _rotations(log: Log, columns: tuple[str, ...], settings: MeasurementSettings) -> tuple[Log, np.ndarray]:

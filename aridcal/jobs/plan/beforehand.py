@@ -62,7 +62,7 @@ OFFSET = 3
 
 
 @dataclass(frozen=True)
-class Beforehand:
+class PlanSetup:
     """What is known before new rows are planned.
 
     Attributes:
@@ -111,7 +111,7 @@ class Beforehand:
             )
         return "kept out of: itself alone; floor, tables and walls are not known: state them as design.keep_out"
 
-    def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> Beforehand:
+    def with_coefficients(self, more: tuple[Coefficient, ...], prior: np.ndarray | None = None) -> PlanSetup:
         """The setup with more coefficients that may be identified, perhaps with the standard deviation expected of each."""
         model = self.model.with_coefficients((*self.model.coefficients, *more))
         expected = np.full(len(more), np.inf) if prior is None else prior
@@ -119,7 +119,7 @@ class Beforehand:
         return replace(self, model=model, theta=theta, prior=np.concatenate([self.prior, expected]))
 
 
-def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> Beforehand:
+def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) -> PlanSetup:
     """The setup of a plan, from the campaign's tables or, before there are any, from the campaign alone.
 
     Raises:
@@ -170,7 +170,7 @@ def _shape_notices(robot: Robot, bodies: Bodies) -> tuple[str, ...]:
     return ("the URDF has no collision shapes: whether limbs touch each other is not looked at",)
 
 
-def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> Beforehand:
+def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progress) -> PlanSetup:
     """The setup with frames, constants and declared effects fitted to the rows so far."""
     progress("reading the measurements")
     rows = with_directions(load_measurements(campaign, robot.readings, robot.limits, robot.kinds, robot=robot))
@@ -192,7 +192,7 @@ def _from_rows(campaign: Campaign, robot: Robot, bodies: Bodies, progress: Progr
     patterns = _patterns(rows)
     if campaign.measurements.links is not None:
         notices.append(GRASP_NOTICE.format(*campaign.measurements.links, patterns.labels.refers[0, 0]))
-    return Beforehand(
+    return PlanSetup(
         campaign=campaign,
         robot=robot,
         model=model,
@@ -244,7 +244,7 @@ def _patterns(rows: Dataset) -> Dataset:
     return replace(patterns, covariates=typical, relative=None).with_repeats(share=1.0)
 
 
-def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehand:
+def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup:
     """The setup before any row: the nominal robot, with frames and things where the campaign's hints say."""
     settings = campaign.measurements
     if campaign.question.by_station:
@@ -304,7 +304,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> Beforehan
         for c, declared_sigma, s in zip(channels, declared, sigma.tolist(), strict=True)
         if declared_sigma is None
     ]
-    return Beforehand(
+    return PlanSetup(
         campaign=campaign,
         robot=robot,
         model=model,

@@ -15,7 +15,7 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Route
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.clearance import clear, unobstructed
 from aridcal.jobs.plan.mounting import stands_above
 from aridcal.system.errors import CampaignError
@@ -78,7 +78,7 @@ class Candidates:
         """Pattern of each candidate's first row, shape (C,)."""
         return np.asarray(self.pattern[np.searchsorted(self.of, np.arange(len(self.readings)))])
 
-    def rows(self, setup: Beforehand) -> Dataset:
+    def rows(self, setup: PlanSetup) -> Dataset:
         """The candidates' rows as a data set, without readings of the instrument, which nothing asks for."""
         made = rows_like(setup, self.readings[self.of], self.pattern)
         names = tuple(f"{name}_direction" for name in made.names)
@@ -86,7 +86,7 @@ class Candidates:
         return replace(made, covariates=covariates).with_origin(derived=names)
 
 
-def offers(setup: Beforehand) -> Offers:
+def offers(setup: PlanSetup) -> Offers:
     """What one configuration may measure: a target, a touch of a point, all markers in one image."""
     rows = setup.patterns
     n, kind = len(rows), setup.campaign.measurements.traits
@@ -108,7 +108,7 @@ def offers(setup: Beforehand) -> Offers:
     return Offers(tuple(np.array([k]) for k in range(n)), tuple(titles))
 
 
-def rows_like(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> Dataset:
+def rows_like(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> Dataset:
     """Rows of other readings.
 
     Args:
@@ -133,13 +133,13 @@ def _as_wide(values: np.ndarray, width: int) -> np.ndarray:
     return wide
 
 
-def targets_of(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def targets_of(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the world, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
     made = setup.patterns.select(pattern)
     return setup.model.poses(setup.theta, rows_of_data(setup.model, made, readings))
 
 
-def in_base(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def in_base(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the targets in the robot's base, (n, 3, 3) and (n, 3), [m]; see :func:`rows_like`."""
     pattern_rows = setup.patterns.select(pattern)
     rows = rows_of_data(setup.model, pattern_rows, readings)
@@ -156,13 +156,13 @@ def in_base(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> tup
     return poses
 
 
-def ends(setup: Beforehand) -> list[int]:
+def ends(setup: PlanSetup) -> list[int]:
     """Indices of the patterns whose targets a plan is judged by: the first of each path."""
     route = setup.patterns.labels.route
     return [0] if route is None else sorted(np.unique(route, return_index=True)[1].tolist())
 
 
-def _by_route(setup: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
+def _by_route(setup: PlanSetup, pattern: np.ndarray) -> Iterator[tuple[np.ndarray | slice, Route]]:
     """Indices of the rows on each path, with the path; see :func:`rows_like`."""
     routes, route = setup.patterns.labels.routes, setup.patterns.labels.route
     if route is None:
@@ -172,7 +172,7 @@ def _by_route(setup: Beforehand, pattern: np.ndarray) -> Iterator[tuple[np.ndarr
         yield np.flatnonzero(route[pattern] == k), routes[k]
 
 
-def allowed(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def allowed(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the arm keeps clear, shape (n,); see :func:`rows_like`."""
     targets = in_base(setup, readings, pattern)[1]
     free = np.empty(len(readings), dtype=bool)
@@ -181,7 +181,7 @@ def allowed(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.
     return free & stands_above(setup.robot, setup.side, readings, targets) if setup.side else free
 
 
-def in_sight(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def in_sight(setup: PlanSetup, readings: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """True of configurations in which the instrument sees the target, shape (n,); see :func:`rows_like`."""
     sight = setup.campaign.design.sight
     if sight is None or not len(readings):
@@ -200,7 +200,7 @@ def in_sight(setup: Beforehand, readings: np.ndarray, pattern: np.ndarray) -> np
     return visible
 
 
-def draw_candidates(setup: Beforehand, count: int, least: int, rng: np.random.Generator) -> Candidates:
+def draw_candidates(setup: PlanSetup, count: int, least: int, rng: np.random.Generator) -> Candidates:
     """Measurable configurations, drawn from the joints' ranges, as many of each offer.
 
     Args:
@@ -226,7 +226,7 @@ def draw_candidates(setup: Beforehand, count: int, least: int, rng: np.random.Ge
     )
 
 
-def _of_offer(setup: Beforehand, patterns: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
+def _of_offer(setup: PlanSetup, patterns: np.ndarray, count: int, least: int, rng: np.random.Generator) -> Candidates:
     """Measurable configurations of one offer."""
     readings_found: list[np.ndarray] = []
     patterns_shown: list[np.ndarray] = []
@@ -253,7 +253,7 @@ def _of_offer(setup: Beforehand, patterns: np.ndarray, count: int, least: int, r
     return Candidates(readings, np.ones_like(readings), np.zeros(count, dtype=int), patterns[column], of)
 
 
-def _draw_readings(setup: Beforehand, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
+def _draw_readings(setup: PlanSetup, pattern: int, count: int, rng: np.random.Generator) -> np.ndarray:
     """Readings that bring the target where a measurement of one pattern needs it, shape (count, columns)."""
     rows = setup.patterns
     kind = setup.campaign.measurements.traits
@@ -274,7 +274,7 @@ def _draw_readings(setup: Beforehand, pattern: int, count: int, rng: np.random.G
 
 
 def reaching(
-    setup: Beforehand, pattern: int, miss: Miss, count: int, rng: np.random.Generator, advice: str
+    setup: PlanSetup, pattern: int, miss: Miss, count: int, rng: np.random.Generator, advice: str
 ) -> np.ndarray:
     """Readings that bring the target of a pattern where ``miss`` is zero, shape (count, columns)."""
 
@@ -284,7 +284,7 @@ def reaching(
     return brought(setup.robot, pose, miss, count, rng, str(setup.campaign.path), advice)
 
 
-def _patterns_shown(setup: Beforehand, readings: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+def _patterns_shown(setup: PlanSetup, readings: np.ndarray, patterns: np.ndarray) -> np.ndarray:
     """Patterns of an offer that each configuration measures, shape (n, patterns) bool."""
     n, m = len(readings), len(patterns)
     if not setup.campaign.measurements.traits.images or n == 0:
@@ -318,7 +318,7 @@ def _patterns_shown(setup: Beforehand, readings: np.ndarray, patterns: np.ndarra
     return shown.reshape(n, m)
 
 
-def _shows_enough(setup: Beforehand, shown: np.ndarray, patterns: np.ndarray) -> np.ndarray:
+def _shows_enough(setup: PlanSetup, shown: np.ndarray, patterns: np.ndarray) -> np.ndarray:
     """True of images that show enough of what one link carries, shape (n,), from which markers each shows, (n, patterns)."""
     enough = np.zeros(len(shown), dtype=bool)
     for indices, _ in _by_route(setup, patterns):
@@ -326,7 +326,7 @@ def _shows_enough(setup: Beforehand, shown: np.ndarray, patterns: np.ndarray) ->
     return enough
 
 
-def _to_base(setup: Beforehand, pattern: np.ndarray, readings: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _to_base(setup: PlanSetup, pattern: np.ndarray, readings: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points given where paths start, in the world or a link, in the base's axes, shape (n, 3), [m]; see :func:`rows_like`."""
     world = rows_of_data(setup.model, setup.patterns.select(pattern[:1])).world[0]
     frame = setup.model.frames(setup.theta)[0][world][1]

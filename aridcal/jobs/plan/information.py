@@ -13,7 +13,7 @@ from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.trust.workspace import LOOSE, shifted
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
 
 ASSUMED_SHARE = 0.1
@@ -45,7 +45,7 @@ class Told:
     sizes: np.ndarray
 
 
-def told(setup: Beforehand, candidates: Candidates, n: int) -> Told:
+def told(setup: PlanSetup, candidates: Candidates, n: int) -> Told:
     """Information of candidates beside what is known.
 
     Args:
@@ -70,17 +70,17 @@ def told(setup: Beforehand, candidates: Candidates, n: int) -> Told:
     )
 
 
-def rows_of(setup: Beforehand, unknowns: Told, candidates: Candidates) -> np.ndarray:
+def rows_of(setup: PlanSetup, unknowns: Told, candidates: Candidates) -> np.ndarray:
     """Rows of other candidates in the same unknowns, in sigmas, shape (C, p, D)."""
     return together(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
 
 
-def whitened(setup: Beforehand, candidates: Candidates) -> np.ndarray:
+def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
     """All columns of candidates' rows in sigmas, those of the things before those of the coefficients, shape (N, m, D)."""
     return _whitened(problem(setup.model, candidates.rows(setup)), setup)[0]
 
 
-def so_far(setup: Beforehand, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
+def so_far(setup: PlanSetup, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
     """Columns (n, D) and residuals (n,) of the rows so far and of what is stated or expected beforehand, in sigmas."""
     beforehand = _beforehand_rows(problem(setup.model, candidates.some([0]).rows(setup)), setup)
     if not len(setup.rows):
@@ -97,7 +97,7 @@ def _columns(things: int, kept: Sequence[int]) -> np.ndarray:
     return np.concatenate([np.arange(things), things + np.array(kept, dtype=int)])
 
 
-def _whitened(question: Problem, setup: Beforehand) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(question: Problem, setup: PlanSetup) -> tuple[np.ndarray, np.ndarray]:
     """Columns of all rows in sigmas, those of the things before those of the coefficients, (N, m, D); and residuals, (N, m)."""
     per_number = 1.0 / spread(setup.sigma, question.channels)
     parts, residuals = [], []
@@ -128,7 +128,7 @@ def _places(groups: Groups) -> np.ndarray:
     return np.asarray(np.cumsum(groups.unknown).reshape(groups.unknown.shape) - 1)
 
 
-def _beforehand_rows(question: Problem, setup: Beforehand) -> np.ndarray:
+def _beforehand_rows(question: Problem, setup: PlanSetup) -> np.ndarray:
     """Rows of what is stated of things and expected of coefficients beforehand, in sigmas, shape (T, D)."""
     expected = np.flatnonzero(np.isfinite(setup.prior))
     beforehand, groups = question.beforehand(), question.groups
@@ -166,7 +166,7 @@ def in_line(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def target_columns(
-    setup: Beforehand, unknowns: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
+    setup: PlanSetup, unknowns: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
 ) -> np.ndarray:
     """How the target, or the campaign's own point on it, moves in some configurations with the unknowns, shape (R, 3, D), [m].
 

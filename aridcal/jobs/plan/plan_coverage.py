@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.trust.workspace import LOOSE
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, targets_of
 from aridcal.jobs.plan.information import ASSUMED_SHARE, Told
 from aridcal.jobs.plan.row_exchange import Choice, rms_sigma, taken_away, worst_sigma
@@ -67,7 +67,7 @@ def told_sigma(sigma: float) -> float:
 
 
 def coverage(
-    setup: Beforehand,
+    setup: PlanSetup,
     unknowns: Told,
     choice: Choice,
     order: list[int],
@@ -112,7 +112,7 @@ def _growth(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> flo
     return float(np.trace(without[np.ix_(part, part)]) / np.trace(covariance[np.ix_(part, part)]) - 1.0)
 
 
-def suspects(setup: Beforehand, unknowns: Told) -> tuple[tuple[str, ...], list[list[int]]]:
+def suspects(setup: PlanSetup, unknowns: Told) -> tuple[tuple[str, ...], list[list[int]]]:
     """Names of the effects among the unknowns, by place and covariates, and the indices of each one's unknowns."""
     parts: dict[str, list[int]] = {}
     for number, k in enumerate(unknowns.kept):
@@ -122,7 +122,7 @@ def suspects(setup: Beforehand, unknowns: Told) -> tuple[tuple[str, ...], list[l
     return tuple(parts), list(parts.values())
 
 
-def indices(setup: Beforehand, unknowns: Told, rows: np.ndarray) -> tuple[float, ...]:
+def indices(setup: PlanSetup, unknowns: Told, rows: np.ndarray) -> tuple[float, ...]:
     """Observability indices of all rows together, suspects held; see :func:`observability`.
 
     Args:

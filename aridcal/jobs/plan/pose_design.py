@@ -13,7 +13,7 @@ from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.orientations import column_of
 from aridcal.jobs.plan.approaches import Approaches, as_they_come, from_both_sides
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends, offers
 from aridcal.jobs.plan.discrimination import Duel, telling_apart
 from aridcal.jobs.plan.information import Told, in_line, rows_of, target_columns, told
@@ -109,7 +109,7 @@ class Plan:
         return next(s for s in self.sigma if s.n == len(self.readings))
 
 
-def design(setup: Beforehand, request: Asked, progress: Progress = SILENT) -> Plan:
+def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Plan:
     """Choose configurations.
 
     Args:
@@ -178,7 +178,7 @@ def design(setup: Beforehand, request: Asked, progress: Progress = SILENT) -> Pl
     )
 
 
-def _of_region(setup: Beforehand, request: Asked) -> list[str]:
+def _of_region(setup: PlanSetup, request: Asked) -> list[str]:
     """Notices where a plan is for the campaign's own region, or for its own point on the target."""
     region, remarks = setup.campaign.region, []
     if request.region is None and (region.file is not None or region.joints):
@@ -188,7 +188,7 @@ def _of_region(setup: Beforehand, request: Asked) -> list[str]:
     return remarks
 
 
-def question(setup: Beforehand, request: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
+def question(setup: PlanSetup, request: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
     """The choice that a request makes of candidates, and the information of these.
 
     Args:
@@ -213,7 +213,7 @@ def question(setup: Beforehand, request: Asked, candidates: Candidates, region: 
 
 
 def _visits(
-    setup: Beforehand, best: Candidates, rng: np.random.Generator
+    setup: PlanSetup, best: Candidates, rng: np.random.Generator
 ) -> tuple[Candidates, Approaches, tuple[str, ...]]:
     """Configurations in the order of their visits, how each is approached, and notices of approaches without room."""
     robot = setup.robot

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from aridcal.engine.inverse.reachable import off_the_limits
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, allowed, in_sight
 from aridcal.jobs.plan.information import Told, rows_of
 from aridcal.jobs.plan.row_exchange import Choice, taken_away, updated, weights_of_the_worst, worth_of
@@ -33,7 +33,7 @@ class Refined:
     rows: np.ndarray
 
 
-def refined(setup: Beforehand, unknowns: Told, choice: Choice, pool: Refined, rng: np.random.Generator) -> Refined:
+def refined(setup: PlanSetup, unknowns: Told, choice: Choice, pool: Refined, rng: np.random.Generator) -> Refined:
     """A choice with each member moved to better places nearby, as long as there are any.
 
     A pattern search: what is tried around each is compared with all others where they are (coordinate exchange: Meyer and
@@ -58,7 +58,7 @@ def refined(setup: Beforehand, unknowns: Told, choice: Choice, pool: Refined, rn
 
 
 def _stepped(
-    setup: Beforehand, unknowns: Told, choice: Choice, current: Refined, share: float, rng: np.random.Generator
+    setup: PlanSetup, unknowns: Told, choice: Choice, current: Refined, share: float, rng: np.random.Generator
 ) -> Refined:
     """The choice with every configuration in turn moved to the best of some places around it."""
     n = len(current.candidates.readings)
@@ -87,7 +87,7 @@ def _stepped(
     return Refined(replace(current.candidates, readings=readings), planned)
 
 
-def _around(setup: Beforehand, candidates: Candidates, share: float, rng: np.random.Generator) -> Candidates:
+def _around(setup: PlanSetup, candidates: Candidates, share: float, rng: np.random.Generator) -> Candidates:
     """Places around configurations, :data:`PLACES_TRIED` for each, off the limits."""
     low, high = off_the_limits(setup.robot)
     n, columns = candidates.readings.shape

@@ -9,14 +9,14 @@ import numpy as np
 
 from aridcal.engine.inverse.reachable import draw_readings, limits_of
 from aridcal.jobs.calibrate.region import corners, region_of_table
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import allowed, reaching
 
 REGION_PLACES = 300
 """Of the region: their mean is then known to a few per cent, and every choice is compared on the same ones."""
 
 
-def region_readings(setup: Beforehand, path: Path | None, rng: np.random.Generator) -> np.ndarray:
+def region_readings(setup: PlanSetup, path: Path | None, rng: np.random.Generator) -> np.ndarray:
     """Readings of the region of a table, else of the campaign's own, else of the joints' whole ranges, shape (R, columns)."""
     settings = setup.campaign.region
     if path is not None:
@@ -39,7 +39,7 @@ def region_readings(setup: Beforehand, path: Path | None, rng: np.random.Generat
 
 
 def region(
-    setup: Beforehand, path: Path, rng: np.random.Generator, tool: Sequence[float] = (0.0, 0.0, 0.0)
+    setup: PlanSetup, path: Path, rng: np.random.Generator, tool: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> np.ndarray:
     """Readings of a table of joints, or of readings that bring the target to a table's places, shape (R, columns).
 

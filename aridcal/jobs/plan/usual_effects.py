@@ -15,7 +15,7 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.covariate_table import look
 from aridcal.files.campaign import EffectDeclaration
-from aridcal.jobs.plan.beforehand import Beforehand
+from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.system.errors import CampaignError, nearest
 
@@ -36,7 +36,7 @@ HARMONIC_ORDERS = (1.0, 2.0)
 """Periods in a turn of the harmonics that eccentric gears and encoders make."""
 
 
-def with_stated_effects(setup: Beforehand, pool: Candidates) -> Beforehand:
+def with_stated_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     """The setup with the effects that the campaign declares; with measured rows they are in it already.
 
     Effects that depend on more than the joints (time, temperature) cannot be planned for, and become notices.
@@ -53,8 +53,8 @@ def with_stated_effects(setup: Beforehand, pool: Candidates) -> Beforehand:
 
 
 def with_pair(
-    setup: Beforehand, names: Sequence[str], pool: Candidates
-) -> tuple[Beforehand, tuple[tuple[int, ...], ...]]:
+    setup: PlanSetup, names: Sequence[str], pool: Candidates
+) -> tuple[PlanSetup, tuple[tuple[int, ...], ...]]:
     """The setup with effects that are to be told apart, and the indices of each one's coefficients."""
     parts = []
     for name in names:
@@ -64,13 +64,13 @@ def with_pair(
     return setup, tuple(parts)
 
 
-def both_sides(setup: Beforehand) -> np.ndarray:
+def both_sides(setup: PlanSetup) -> np.ndarray:
     """Joints that should come to their readings from both sides, as something may depend on that, shape (columns,) bool."""
     covariates = {name for c in setup.model.coefficients for name in c.basis.of}
     return np.array([f"{name}_direction" in covariates for name in setup.robot.readings])
 
 
-def with_usual_effects(setup: Beforehand, pool: Candidates) -> Beforehand:
+def with_usual_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     """The setup with the effects usual for its kind of robot as suspects, each with a prior of its usual size.
 
     Suspects are of the kinds that the campaign would look for (`diagnosis`).
@@ -129,7 +129,7 @@ def _bends(observed: Observed, name: str, kind: str) -> tuple[Coefficient, ...]:
     return tuple(dict.fromkeys(c for c in of_rail if c.basis.form == "power"))
 
 
-def _effect(setup: Beforehand, name: str, pool: Candidates) -> tuple[Coefficient, ...]:
+def _effect(setup: PlanSetup, name: str, pool: Candidates) -> tuple[Coefficient, ...]:
     """Coefficients of an effect called ``WHERE.KIND``: as the campaign declares it, or as the kind has it.
 
     Raises:
@@ -150,12 +150,12 @@ def _effect(setup: Beforehand, name: str, pool: Candidates) -> tuple[Coefficient
 
 
 def _declared(
-    setup: Beforehand, declaration: EffectDeclaration, place: str, pool: Candidates
+    setup: PlanSetup, declaration: EffectDeclaration, place: str, pool: Candidates
 ) -> tuple[Coefficient, ...]:
     """Coefficients of a declared effect, made from the pool's configurations."""
     return declared(observed_by(setup, pool.rows(setup)), declaration, place).coefficients
 
 
-def observed_by(setup: Beforehand, rows: Dataset) -> Observed:
+def observed_by(setup: PlanSetup, rows: Dataset) -> Observed:
     """Covariates of some rows, from which effects can be made."""
     return look(setup.model.with_coefficients(()), rows)[0]

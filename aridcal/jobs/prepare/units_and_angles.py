@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.fit.frame_starts import Posed, start_frames
+from aridcal.engine.fit.frame_starts import PoseRows, start_frames
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.measurement_settings import ANGLES, LENGTHS
@@ -261,7 +261,7 @@ def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, pe
     world, tip = (sample.station if per == where else one_frame for where in ("world_base", "tip_target"))
     hints = (pin.SE3.Identity(),) * (int(tip.max()) + 1)
     starts = []
-    for start in start_frames(Posed(R, p, None, m, world, tip), None, None, hints):
+    for start in start_frames(PoseRows(R, p, None, m, world, tip), None, None, hints):
         turn = np.array([frame.rotation for frame in start.world_base])[world]
         shift = np.array([frame.translation for frame in start.world_base])[world]
         lever = np.array([frame.translation for frame in start.tip_target])[tip]

@@ -17,7 +17,7 @@ from aridcal.engine.search.noise_shapes import Shape
 from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, Kept
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.controllers import Handover
+from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.system.errors import printable, shortened
@@ -146,7 +146,7 @@ def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     return (f"scale: known to{rows} the known lengths alone allow ± {number(1e3 * sigma, 2)} mm per m",)
 
 
-def next_command(outcome: Outcome, handover: Handover, folder: str) -> str:
+def next_command(outcome: Outcome, handover: ControllerExports, folder: str) -> str:
     """The command that corrects a program by a result; empty where that helps no controller.
 
     It helps none where data are few, the model is no better than the nominal one, or no place was measured.

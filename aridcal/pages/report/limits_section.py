@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 
 from markupsafe import Markup
 
-from aridcal.jobs.calibrate.controllers import INDEX, Export, Handover
+from aridcal.jobs.calibrate.controllers import INDEX, ControllerExports, Export
 from aridcal.jobs.calibrate.key_figures import narrow_joints
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.html import Content, bullets, codes, fold, table, tag
@@ -117,7 +117,7 @@ def _inside_the_target(outcome: Outcome) -> list[str]:
     return sorted(places)
 
 
-def use(outcome: Outcome, handover: Handover, beside: Collection[str] = frozenset()) -> Iterator[Content]:
+def use(outcome: Outcome, handover: ControllerExports, beside: Collection[str] = frozenset()) -> Iterator[Content]:
     """Which file is for what; those beside the page are links."""
     following = next_command(outcome, handover, "results")
     if following:
@@ -137,13 +137,13 @@ def linked(file: str, beside: Collection[str]) -> Markup:
     return tag("a", file, href=file) if file in beside else tag("code", file)
 
 
-def _error(handover: Handover, export: Export) -> str:
+def _error(handover: ControllerExports, export: Export) -> str:
     """What an export leaves, with its unit."""
     channel = handover.channel
     return f"{number(channel.scale * export.error)} {channel.shown}"
 
 
-def _files(handover: Handover, effects: bool, beside: Collection[str]) -> Markup:
+def _files(handover: ControllerExports, effects: bool, beside: Collection[str]) -> Markup:
     """The files of the result folder."""
     error = {file: _error(handover, export) for export in handover.exports for file in export.files}
     predict = tag("code", "python -m aridcal.predict calibration.yaml query.csv -o predicted.csv")

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.jobs.calibrate.controllers import Handover
+from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.frame import Section, empty_page, framed_page
 from aridcal.pages.drawing.html import Content, attempt, join, missing, noting
@@ -29,7 +29,9 @@ from aridcal.system.wording import counted
 Chapter = tuple[str, str, Iterable[Content]]
 
 
-def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Progress = SILENT) -> tuple[str, ...]:
+def write_report(
+    outcome: Outcome, handover: ControllerExports, path: Path, progress: Progress = SILENT
+) -> tuple[str, ...]:
     """Write the report of a calibration; what cannot be drawn of it is missing, and the rest stands.
 
     Args:
@@ -53,7 +55,7 @@ def write_report(outcome: Outcome, handover: Handover, path: Path, progress: Pro
 
 
 def page(
-    outcome: Outcome, handover: Handover, progress: Progress = SILENT, beside: Collection[str] = frozenset()
+    outcome: Outcome, handover: ControllerExports, progress: Progress = SILENT, beside: Collection[str] = frozenset()
 ) -> Markup:
     """The report as one self-contained HTML page; each of its sections fails alone.
 
@@ -86,7 +88,9 @@ def drawn(title: str, content: Iterable[Content]) -> list[Content]:
     return parts
 
 
-def _chapters(outcome: Outcome, handover: Handover, progress: Progress, beside: Collection[str]) -> list[Chapter]:
+def _chapters(
+    outcome: Outcome, handover: ControllerExports, progress: Progress, beside: Collection[str]
+) -> list[Chapter]:
     """The six questions, then what was identified and which file is for what."""
     chapters: list[Chapter] = [
         ("data", "1. Is the data sound?", data(outcome)),

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from aridcal.engine.inverse.many_poses import MOST_STEPS, ROWS_AT_ONCE, Approached, ArmRows, InverseRows
+from aridcal.engine.inverse.many_poses import MOST_STEPS, ROWS_AT_ONCE, ArmRows, InverseRows, SearchEnd
 from aridcal.engine.inverse.one_pose import MOST_UNAVOIDABLE, InverseKinematics
 from aridcal.engine.inverse.one_row import OneRowModel
 from aridcal.engine.model.model import Model
@@ -212,7 +212,7 @@ class Controller:
         found = self.inverse.approach(wanted, seeds, held, {}, steps)
         return found.readings, self._there(found), found.J
 
-    def _there(self, found: Approached) -> np.ndarray:
+    def _there(self, found: SearchEnd) -> np.ndarray:
         allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else EXACT
         off = np.maximum(np.linalg.norm(found.error[:, :3], axis=1), np.linalg.norm(found.error[:, 3:], axis=1))
         return np.asarray(off < allowed)
