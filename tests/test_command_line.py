@@ -228,12 +228,12 @@ def test_a_command_gives_its_work_its_arguments_and_takes_its_status(capsys):
     def work(arguments):
         if arguments.name == "bad":
             raise AridcalError("no such toy")
-        Screen().say(f"[red]{arguments.name}[/red] {'long ' * 60}", "second")
+        Screen().say(f"[red]{arguments.name}[/red] {'long ' * 60}end", "second")
         return 3
 
     main = command(parser, work)
     assert main(["ball"]) == 3
-    assert capsys.readouterr().out == f"[red]ball[/red] {'long ' * 60}\nsecond\n"
+    assert capsys.readouterr().out == f"[red]ball[/red] {'long ' * 60}end\nsecond\n"
     assert main(["bad"]) == 2
     assert "no such toy" in capsys.readouterr().err
 
