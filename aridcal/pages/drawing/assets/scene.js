@@ -1,5 +1,5 @@
 "use strict";
-// Puts the scene into meshcat's tree and works the panel. `Scene` data: aridcal/drawing/scene.py, scene_content().
+// Puts the scene into meshcat's tree and works the panel. `Scene` data: aridcal/pages/drawing/scene.py, scene_content().
 (() => {
   const byId = (id) => document.getElementById(id);
   const THREE = MeshCat.THREE;
