@@ -219,8 +219,8 @@ def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[D
     note_limits(source, q)
     stale = doubtful = np.zeros(len(table), dtype=bool)
     if of_target:
-        measured = position if quaternion is None else np.hstack([position, quaternion])
-        stale, doubtful = stale_rows(source, q, measured, sequence, noted=quaternion is not None)
+        read = [position] if quaternion is None else [position, quaternion]
+        stale, doubtful = stale_rows(source, q, np.hstack(read), sequence, noted=quaternion is not None)
         observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
     chosen = canonical[source.usable[canonical]]
     rows = Dataset(

@@ -23,6 +23,7 @@ from aridcal.pages.report.instruments_section import instruments
 from aridcal.pages.report.iso_section import iso
 from aridcal.pages.report.limits_section import limits, use
 from aridcal.system.progress import SILENT, Progress
+from aridcal.system.reading.freed import give_back
 from aridcal.system.wording import counted
 
 # Anchor, title and content.
@@ -67,7 +68,10 @@ def page(
     """
     chapters = _chapters(outcome, handover, progress, beside)
     head = drawn("Summary", summary(outcome, beside))
-    parts = [Section(title, drawn(title, content), key) for key, title, content in progress.over(chapters, "sections")]
+    parts = []
+    for key, title, content in progress.over(chapters, "sections"):
+        give_back()  # what the section before it made of all rows
+        parts.append(Section(title, drawn(title, content), key))
     return framed_page(f"Calibration of {outcome.robot.tree.name}", head, parts, foot(outcome.measurements))
 
 
