@@ -73,7 +73,7 @@ if TYPE_CHECKING:
 def parser() -> CommandParser:
     """The command's arguments."""
     command = command_parser("compensate", __doc__)
-    command.add_argument("calibration", type=path_argument, help="calibration.yaml of a result folder")
+    command.add_argument("calibration", type=path_argument, help="a result folder, or the calibration.yaml in it")
     command.add_argument(
         "poses",
         type=path_argument,

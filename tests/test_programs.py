@@ -90,6 +90,16 @@ def framed(program: Made, folder: Path) -> Sequence[str]:
     return "--frames", str(folder / "frames.yaml")
 
 
+def test_a_result_folder_stands_for_the_calibration_in_it(calibration: Path, tmp_path: Path) -> None:
+    """As `aridcal identify` prints it: its last line names the folder."""
+    program = made(".script", 2)
+    of_file, of_folder = tmp_path / "file", tmp_path / "folder"
+    for named, folder in ((calibration, of_file), (calibration.parent, of_folder)):
+        folder.mkdir()
+        assert run(program.text, ".script", named, folder, *framed(program, folder))[0] == 0
+    assert (of_file / "corrected.script").read_bytes() == (of_folder / "corrected.script").read_bytes()
+
+
 @pytest.mark.parametrize("ending", MAKERS)
 def test_only_numbers_of_targets_change_and_the_real_arm_comes_to_their_places(
     ending: str, calibration: Path, tmp_path: Path

@@ -127,6 +127,20 @@ class SolvedModel:
         return target_std(self.model, self.theta, self.covariance, rows)
 
 
+def calibration_file(path: str | Path) -> Path:
+    """The path of `calibration.yaml`, told by itself or by its result folder.
+
+    Raises:
+        CampaignError: there is no such file.
+    """
+    path = Path(path)
+    check_path(path, CampaignError)
+    path = path / "calibration.yaml" if path.is_dir() else path
+    if not path.exists():
+        raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
+    return path
+
+
 @dataclass(frozen=True)
 class SavedModel:
     """A calibrated robot as `calibration.yaml` holds it: predicts and commands, without the measurements.
@@ -333,11 +347,7 @@ class SavedModel:
         Raises:
             AridcalError: it is not there, is hostile, or is not a calibration of this format.
         """
-        path = Path(path)
-        check_path(path, CampaignError)
-        path = path / "calibration.yaml" if path.is_dir() else path
-        if not path.exists():
-            raise CampaignError(f"{path}: there is no such file; `aridcal identify campaign.yaml` writes one")
+        path = calibration_file(path)
         document, record = read_calibration(path)
         try:
             return _restored(document, record)

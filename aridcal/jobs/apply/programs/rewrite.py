@@ -6,7 +6,7 @@ import datetime
 import gc
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from aridcal.jobs.apply.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER,
 from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
 from aridcal.jobs.apply.programs.read_project import Opened, read_project
 from aridcal.jobs.apply.programs.text import Numbers
-from aridcal.jobs.calibrate.saved_model import SavedModel
+from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.system.errors import CampaignError, MeasurementError, OutputError, printable
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.freed import give_back
@@ -40,7 +40,7 @@ class Request:
     """What is to be corrected, and what is known of it.
 
     Attributes:
-        calibration: Path of calibration.yaml.
+        calibration: Path of calibration.yaml, or of its result folder.
         programs: Files, or folders of them.
         out: A file for a single program, a folder for more.
         frames: A file of frames that only the controller has.
@@ -106,6 +106,7 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
         AridcalError: a file cannot be read or written, has no target, or was corrected before.
         Unproved: the new text does not say what was meant: a fault of ours.
     """
+    request = replace(request, calibration=calibration_file(request.calibration))
     beside = request.out.with_name(f"{request.out.name}{SIDE}")
     check_apart([request.out, beside], [*request.programs, request.calibration, request.frames])
     opened = read_project(request.programs, request.out)
