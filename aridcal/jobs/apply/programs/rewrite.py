@@ -106,13 +106,13 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
         AridcalError: a file cannot be read or written, has no target, or was corrected before.
         Unproved: the new text does not say what was meant: a fault of ours.
     """
-    request = replace(request, calibration=calibration_file(request.calibration))
     beside = request.out.with_name(f"{request.out.name}{SIDE}")
     check_apart([request.out, beside], [*request.programs, request.calibration, request.frames])
     opened = read_project(request.programs, request.out)
     for source in opened.project.sources:
         if source.ours:
             refuse_corrected(source.path, source.text)
+    request = replace(request, calibration=calibration_file(request.calibration))
     outputs = _outputs(request, opened)
     content = read_file(request.calibration, CampaignError, CALIBRATION)
     saved = _of_limb(SavedModel.load(request.calibration), request.of)
