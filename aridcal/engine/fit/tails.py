@@ -16,11 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaln
 
-from aridcal.engine.levels import FEWEST_ROWS, STRONG
+from aridcal.engine.levels import STRONG
 from aridcal.engine.numerics import STEPS
 
 FREEDOMS = (1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
 """Work: Degrees of freedom that are tried: from Cauchy's to such as hundreds of rows cannot tell from normal noise."""
+
+
+FEWEST_OF_TAILS = 20
+"""Rows below which nothing is said of tails: of one row in twenty chance makes them."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ def tails_of(squares: np.ndarray, size: int) -> Tails | None:
         squares: Of each row, shape (n,).
         size: Numbers of a row.
     """
-    middle = float(np.median(squares)) if len(squares) >= FEWEST_ROWS else 0.0
+    middle = float(np.median(squares)) if len(squares) >= FEWEST_OF_TAILS else 0.0
     if middle <= 0.0:
         return None
     mean = float(np.mean(squares)) / size
