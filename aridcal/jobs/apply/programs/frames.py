@@ -14,7 +14,8 @@ from aridcal.engine.robot.tree import read_tree
 from aridcal.files.instrument_settings import Placement
 from aridcal.files.yaml_file import Number, Settings, load_settings
 from aridcal.jobs.apply.programs.axes import MOST
-from aridcal.jobs.apply.programs.uses import Frame
+from aridcal.jobs.apply.programs.text import Code
+from aridcal.jobs.apply.programs.uses import ANY, Frame, line_name
 from aridcal.jobs.apply.programs.walk import Unknown
 from aridcal.system.errors import CampaignError
 
@@ -149,6 +150,37 @@ def joined_frames(
                     f"{kind} {number} is stated twice, not alike: in --frames or in listings of the controller"
                 )
     return joined
+
+
+def frames_set(
+    codes: Sequence[Code],
+    writes: Sequence[Sequence[tuple[str, int, int]]],
+    walked: frozenset[int],
+    stated: KnownFrames,
+    every: tuple[Code, ...],
+) -> dict[str, dict[int, str]]:
+    """Frames and tools that given programs set, so that they may hold anything when a program begins, and where.
+
+    What the user states is believed against programs that have nothing to do with those that are corrected.
+
+    Args:
+        codes: Of each program.
+        writes: What each sets: ``frame`` or ``tool``, its number or :data:`ANY`, and the place in its text.
+        walked: Numbers of the programs that are corrected, and of those that they call.
+        stated: By the user.
+        every: Codes of the whole project.
+
+    Returns:
+        By ``frame`` and ``tool``, and by number, why it is not certain.
+    """
+    reasons: dict[str, dict[int, str]] = {"frame": {}, "tool": {}}
+    believed = {"frame": stated.bases, "tool": stated.tools}
+    for k, (code, own_writes) in enumerate(zip(codes, writes, strict=True)):
+        for family, number, start in own_writes:
+            if k in walked or (number != ANY and str(number) not in believed[family]):
+                line = line_name(every, code, start)
+                reasons[family].setdefault(number, f"{line} sets this user {family}, perhaps in a run before")
+    return reasons
 
 
 def absent(name: str) -> str:

@@ -12,6 +12,9 @@ from aridcal.jobs.apply.programs.targets import Place, Target
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.walk import Unknown
 
+ANY = -1
+"""Number that stands for every point, frame or tool: which one is meant, the text alone does not say."""
+
 NEVER = "no move of the given files goes there, so that its frame and tool are not known"
 
 SAME = 1e-9

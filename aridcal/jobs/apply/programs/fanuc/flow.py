@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, Place, own_group, short
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Instruction, Listing, plain
 from aridcal.jobs.apply.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
+from aridcal.jobs.apply.programs.uses import ANY
 from aridcal.jobs.apply.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
 
 
@@ -32,8 +33,6 @@ class Flow:
     writes: list[tuple[str, int, int]] = field(default_factory=list)
     why: str = ""
 
-
-ANY = -1
 
 LOOPS = 4
 """Loops in loops that are walked as such: each takes three walks of what it contains. Deeper ones are written out with

@@ -10,13 +10,13 @@ from aridcal.jobs.apply.programs.callers import named, reached, routine_of, unca
 from aridcal.jobs.apply.programs.cell import Cell, Reading
 from aridcal.jobs.apply.programs.fanuc.actions import actions
 from aridcal.jobs.apply.programs.fanuc.controller import read_frames_of_controller
-from aridcal.jobs.apply.programs.fanuc.flow import ANY, Flow, read_flow
+from aridcal.jobs.apply.programs.fanuc.flow import Flow, read_flow
 from aridcal.jobs.apply.programs.fanuc.listing import Listing, read_listing
 from aridcal.jobs.apply.programs.fanuc.meaning import Given, Meaning
-from aridcal.jobs.apply.programs.frames import KnownFrames, joined_frames
+from aridcal.jobs.apply.programs.frames import frames_set, joined_frames
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.text import Code
-from aridcal.jobs.apply.programs.uses import HERE, Frame, line_name
+from aridcal.jobs.apply.programs.uses import HERE, Frame
 from aridcal.jobs.apply.programs.walk import State, TooLong, Walk
 
 ENDING = ".ls"
@@ -73,7 +73,9 @@ def _walked(
     meaning = Meaning(listings, flows, codes, ours, spoken, given, cell)
     walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
     state = State()
-    meaning.begin(state, _written(listings, flows, codes, frozenset(walked), cell.frames))
+    writes = [flow.writes for flow in flows]
+    own_codes = [listing.code for listing in listings]
+    meaning.begin(state, frames_set(own_codes, writes, frozenset(walked), cell.frames, codes))
     for name in sorted({name for k in walked for name in flows[k].tasks}):
         state.volatile(
             _writes(name, flows, names, meaning, state), f"{name} runs beside the program, and may change it"
@@ -108,27 +110,6 @@ def _writes(
                 meaning.step(action, scratch)
                 keys |= dict.fromkeys(scratch.own_keys())
     return list(keys)
-
-
-def _written(
-    listings: Sequence[Listing],
-    flows: Sequence[Flow],
-    codes: tuple[Code, ...],
-    walked: frozenset[int],
-    stated: KnownFrames,
-) -> dict[str, dict[int, str]]:
-    """Frames and tools that given programs set, so that they may hold anything when a program begins, and where.
-
-    What the user states is believed against programs that have nothing to do with those that are corrected.
-    """
-    written: dict[str, dict[int, str]] = {"frame": {}, "tool": {}}
-    believed = {"frame": stated.bases, "tool": stated.tools}
-    for k, flow in enumerate(flows):
-        for family, number, start in flow.writes:
-            if k in walked or (number != ANY and str(number) not in believed[family]):
-                line = line_name(codes, listings[k].code, start)
-                written[family].setdefault(number, f"{line} sets this user {family}, perhaps in a run before")
-    return written
 
 
 def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given, tuple[str, ...]]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.fanuc.actions import Action, Place, own_group, short
-from aridcal.jobs.apply.programs.fanuc.flow import ANY, Flow
+from aridcal.jobs.apply.programs.fanuc.flow import Flow
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Listing, Point
 from aridcal.jobs.apply.programs.fanuc.points import Targets
 from aridcal.jobs.apply.programs.fanuc.registers import PLAIN, REGISTER, Register, number_of, sum_of
@@ -19,7 +19,7 @@ from aridcal.jobs.apply.programs.postures import fanuc_words
 from aridcal.jobs.apply.programs.targets import Place as TargetPlace
 from aridcal.jobs.apply.programs.targets import Target, Words
 from aridcal.jobs.apply.programs.text import NONE, Code
-from aridcal.jobs.apply.programs.uses import HERE, Frame, Ledger, Use, line_name
+from aridcal.jobs.apply.programs.uses import ANY, HERE, Frame, Ledger, Use, line_name
 from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
 from aridcal.system.errors import printable
 

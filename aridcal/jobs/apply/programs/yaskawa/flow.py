@@ -6,11 +6,10 @@ import re
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from aridcal.jobs.apply.programs.uses import ANY
 from aridcal.jobs.apply.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
 from aridcal.jobs.apply.programs.yaskawa.listing import SHOWN, Instruction, Job
 from aridcal.jobs.apply.programs.yaskawa.table import CHANGES, HARMLESS, INDEX, MOVE, OPTIONS, PLACE
-
-ANY = -1
 
 HARMLESS_RE = re.compile("|".join(f"(?:{row})" for row in HARMLESS))
 

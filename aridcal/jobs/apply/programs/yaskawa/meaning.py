@@ -10,9 +10,9 @@ from aridcal.jobs.apply.programs.frames import absent, unknown
 from aridcal.jobs.apply.programs.targets import Place as TargetPlace
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE, Code
-from aridcal.jobs.apply.programs.uses import Frame, Ledger, Use, line_name
+from aridcal.jobs.apply.programs.uses import ANY, Frame, Ledger, Use, line_name
 from aridcal.jobs.apply.programs.walk import NEVER_SET, State, Unknown
-from aridcal.jobs.apply.programs.yaskawa.flow import ANY, Action, Flow
+from aridcal.jobs.apply.programs.yaskawa.flow import Action, Flow
 from aridcal.jobs.apply.programs.yaskawa.listing import SHOWN, Job, Position
 from aridcal.jobs.apply.programs.yaskawa.points import Targets
 from aridcal.system.errors import printable

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from aridcal.jobs.apply.programs.callers import named, reached, routine_of, uncalled
 from aridcal.jobs.apply.programs.cell import Cell, Reading
-from aridcal.jobs.apply.programs.frames import KnownFrames, joined_frames
+from aridcal.jobs.apply.programs.frames import frames_set, joined_frames
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.text import Code
-from aridcal.jobs.apply.programs.uses import HERE, Frame, line_name
+from aridcal.jobs.apply.programs.uses import HERE, Frame
 from aridcal.jobs.apply.programs.walk import State, TooLong, Walk
 from aridcal.jobs.apply.programs.yaskawa.controller import read_tools, read_user_frames
-from aridcal.jobs.apply.programs.yaskawa.flow import ANY, Flow, read_flow
+from aridcal.jobs.apply.programs.yaskawa.flow import Flow, read_flow
 from aridcal.jobs.apply.programs.yaskawa.listing import Job, read_job
 from aridcal.jobs.apply.programs.yaskawa.meaning import Given, Meaning
 
@@ -74,7 +74,9 @@ def _walked(
     meaning = Meaning(jobs, flows, codes, ours, spoken, frozenset(walked), given, cell)
     walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
     state = State()
-    meaning.begin(state, _written(jobs, flows, codes, frozenset(walked), cell.frames))
+    writes = [flow.writes for flow in flows]
+    own_codes = [job.code for job in jobs]
+    meaning.begin(state, frames_set(own_codes, writes, frozenset(walked), cell.frames, codes))
     for k in uncalled(walked, calls, names):
         walk.enter(routine_of(names, k), State(state))
     for k in walked:
@@ -84,27 +86,6 @@ def _walked(
     for flow in flows:
         flow.body = ()  # a long job's is as large as its targets
     return Reading(meaning.targets(), (*notes, *_assumptions(meaning.assumed, cell)))
-
-
-def _written(
-    jobs: Sequence[Job],
-    flows: Sequence[Flow],
-    codes: tuple[Code, ...],
-    walked: frozenset[int],
-    stated: KnownFrames,
-) -> dict[str, dict[int, str]]:
-    """Frames and tools that given jobs set, so that they may hold anything when a job begins, and where.
-
-    What the user states is believed against jobs that have nothing to do with those that are corrected.
-    """
-    written: dict[str, dict[int, str]] = {"frame": {}, "tool": {}}
-    believed = {"frame": stated.bases, "tool": stated.tools}
-    for k, flow in enumerate(flows):
-        for family, number, start in flow.writes:
-            if k in walked or (number != ANY and str(number) not in believed[family]):
-                line = line_name(codes, jobs[k].code, start)
-                written[family].setdefault(number, f"{line} sets this {family}, perhaps in a run before")
-    return written
 
 
 def _given(project: Project, cell: Cell, codes: tuple[Code, ...]) -> tuple[Given, tuple[str, ...]]:
