@@ -1,8 +1,8 @@
 """Checks and repairs of a calibrated UR10 with a tracker's noise of 0.05 mm and 0.05 mrad: false alarms, names, accuracy.
 
 Example:
-    PYTHONPATH=.:tests python benchmarks/checks.py alarms jumps repairs
-    PYTHONPATH=.:tests python benchmarks/checks.py real --results RESULTS --rows series.csv
+    PYTHONPATH=.:tests/support python benchmarks/checks.py alarms jumps repairs
+    PYTHONPATH=.:tests/support python benchmarks/checks.py real --results RESULTS --rows series.csv
 
 - ``alarms``: 1,000 clean re-visits of 8 configurations each, poses and positions, of 20 calibrations.
 - ``jumps``: a zero that jumps by 0.5 mrad; by four sigma of the noise at the number measured that shows it best; by four

@@ -1,9 +1,9 @@
 """Pairs of calibrations compared: how often robots that did not change are said to have, simulated and real.
 
 Example:
-    PYTHONPATH=.:tests nice python benchmarks/compare.py clean --pairs 60
-    PYTHONPATH=.:tests nice python benchmarks/compare.py search --pairs 12
-    PYTHONPATH=.:tests nice python benchmarks/compare.py real
+    PYTHONPATH=.:tests/support nice python benchmarks/compare.py clean --pairs 60
+    PYTHONPATH=.:tests/support nice python benchmarks/compare.py search --pairs 12
+    PYTHONPATH=.:tests/support nice python benchmarks/compare.py real
 
 - ``clean``: a simulated UR10, 75 poses or positions each time, tracker and target set up anew, `identify` without a search.
 - ``search``: the same with an error curve and a sagging joint, 150 poses, and the search for effects in both calibrations, which

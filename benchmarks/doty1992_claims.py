@@ -1,7 +1,7 @@
 """What Doty (1992) claims of measurements and constants, as figures: a page with tables and pictures, every number computed here.
 
 Example:
-    PYTHONPATH=.:tests python benchmarks/doty1992_claims.py -o docs/claims-of-1992.md
+    PYTHONPATH=.:tests/support python benchmarks/doty1992_claims.py -o docs/claims-of-1992.md
 
 Pictures go to ``images/claims-of-1992`` beside the page. Poses are random within the report's joint limits unless they are those
 of ``identification/arid-strip``. The report gives no link lengths: 0.3, 1.98 and 1.98 m, as in ``urdf/arid.urdf``.
@@ -175,7 +175,7 @@ def page(c: Claims) -> str:
 K. L. Doty's report on the ARID (NASA/ASEE Summer Faculty Fellowship, 1992) says how many measurements a calibration
 needs, and prints the matrix E to do it with. Every number here is computed by
 
-    PYTHONPATH=.:tests python benchmarks/doty1992_claims.py \\
+    PYTHONPATH=.:tests/support python benchmarks/doty1992_claims.py \\
       -o docs/claims-of-1992.md
 
 from the corrected E ([conventions](conventions.md)), for {SETS:,} random sets of poses within the report's joint limits. The

@@ -1,9 +1,9 @@
 """Halves of the rows by blocks: what p-values are on clean data, which missing effects they betray, and a real robot.
 
 Example:
-    PYTHONPATH=.:tests python benchmarks/halves.py clean --runs 300
-    PYTHONPATH=.:tests python benchmarks/halves.py power --runs 40
-    PYTHONPATH=.:tests python benchmarks/halves.py real
+    PYTHONPATH=.:tests/support python benchmarks/halves.py clean --runs 300
+    PYTHONPATH=.:tests/support python benchmarks/halves.py power --runs 40
+    PYTHONPATH=.:tests/support python benchmarks/halves.py real
 
 - ``clean``: simulated campaigns of every kind of measurement, constants fitted, nothing missing; noise estimated from the rows.
 - ``power``: 300 poses, and 300 positions, of a UR10 with one effect that is not in the model, of each kind that its rows can

@@ -1,9 +1,9 @@
 """A season of a hundred robots with wear, from real fits: which drifts are named, their dates, and false alarms.
 
 Example:
-    PYTHONPATH=.:tests nice python benchmarks/history.py season -o /tmp/season
-    PYTHONPATH=.:tests nice python benchmarks/history.py alarms --seasons 2000
-    PYTHONPATH=.:tests nice python benchmarks/history.py dates --seasons 200
+    PYTHONPATH=.:tests/support nice python benchmarks/history.py season -o /tmp/season
+    PYTHONPATH=.:tests/support nice python benchmarks/history.py alarms --seasons 2000
+    PYTHONPATH=.:tests/support nice python benchmarks/history.py dates --seasons 200
 
 - ``season``: 100 robots (UR10, own constants), measured once a month with a tracker that is set up anew each time, 60 poses of
   50 um

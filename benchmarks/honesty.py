@@ -1,7 +1,7 @@
 """What rows can tell, and no more: does a calibration say what is so where rows are few, dependent, or tell two causes alike?
 
-    PYTHONPATH=.:tests python benchmarks/honesty.py                # all questions, 25 draws each
-    PYTHONPATH=.:tests python benchmarks/honesty.py places --draws 5
+    PYTHONPATH=.:tests/support python benchmarks/honesty.py                # all questions, 25 draws each
+    PYTHONPATH=.:tests/support python benchmarks/honesty.py places --draws 5
 
 Each question has its control: the same without the trap.
 

@@ -1,6 +1,6 @@
 """Programs of other people: how many of their targets with a plain meaning are corrected, and why the others are left.
 
-    PYTHONPATH=.:tests python benchmarks/others_programs.py FOLDER
+    PYTHONPATH=.:tests/support python benchmarks/others_programs.py FOLDER
 
 FOLDER has a folder for each project: its programs as they were found, and `frames.yaml` where frames, the start or harmless
 routines are known only to its controller. Targets are those of the reader: whether the arm of a project reaches them depends on

@@ -1,7 +1,7 @@
 """A second arm, in plain NumPy: kinematics, gravity's pull and least squares that share nothing with aridcal's.
 
 A URDF is read as XML, a chain is a product of 4 x 4 matrices, derivatives are differences, and what noise does to a fit
-is solved once, linearised at the truth. ``tests/test_attacks.py`` compares it with Pinocchio.
+is solved once, linearised at the truth. ``tests/repository/test_attacks.py`` compares it with Pinocchio.
 """
 
 from __future__ import annotations

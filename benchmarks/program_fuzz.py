@@ -2,7 +2,7 @@
 
     python benchmarks/program_fuzz.py --language KRL --mutants 1000000
 
-Seeds are the programs of `tests/program_attacks`. Each mutant is read; every target that may be corrected gets other numbers, and
+Seeds are those of `tests/support/program_attacks`. Each is read; every target that may be corrected gets other numbers, and
 the new text is proved. A finding is a proof that fails though only numbers of targets were changed, a byte outside of these that
 differs, or any exception but an `AridcalError`.
 """

@@ -3,7 +3,7 @@
     python benchmarks/program_mutants.py --mutants 1000
     python benchmarks/program_mutants.py --mutants 1000 --folder ~/programs     # programs by others, below a folder a language
 
-Programs of `tests/made_programs.py` go from top to bottom, so that it is known which targets come behind a place:
+Programs of `tests/support/made_programs.py` go from top to bottom, so that it is known which targets come behind a place:
 
 - an unknown statement: no pose behind it is corrected, all before it as before, but where data outlive the program (RAPID);
 - a tool that is set: poses behind it have exactly that tool, all before it their own;

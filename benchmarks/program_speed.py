@@ -2,13 +2,13 @@
 
 Each language is written plainly, one move a line, and as the heaviest of common systems write it: RoboDK's `pose_trans`, KUKA's
 inline forms, declared points of RAPID, points of FANUC with frames, numbered blocks with arcs. The arm is the simulated UR10 of
-`tests/calibrated.py`; G-code is for the gantry of `tests/made_gcode.py`. The exponent is that of the cost by the length: 1 is
-linear. Then files that nobody writes: each should end soon, whatever it says.
+`tests/support/calibrated.py`; G-code is for the gantry of `made_gcode.py` beside it. The exponent is that
+of the cost by the length: 1 is linear. Then files that nobody writes: each should end soon, whatever it says.
 
 Example:
-    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --moves 10000 100000
-    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --only .src --moves 100000
-    PYTHONPATH=.:tests nice python benchmarks/program_speed.py --hostile
+    PYTHONPATH=.:tests/support nice python benchmarks/program_speed.py --moves 10000 100000
+    PYTHONPATH=.:tests/support nice python benchmarks/program_speed.py --only .src --moves 100000
+    PYTHONPATH=.:tests/support nice python benchmarks/program_speed.py --hostile
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ the truth is known. The corrected text is read by the program's own template, an
 nominal arm; where the true arm then stands is compared with where it should be, and with the calibrated model's error.
 
 G-code is for two gantries, three slides and three slides with a rotary axis, out of square, with errors of scale and a rail that
-waves. A controller that knows nothing of the reader (``tests/made_gcode.py``) drives the original and the corrected text to the
+waves. A controller that knows nothing of the reader (``made_gcode.py``) drives the original and the corrected text to the
 end, arcs, steps, G92 and homing too; where the original sends the nominal gantry is where the corrected text should bring the
 true one.
 

@@ -1,8 +1,8 @@
 """Is the target as uncertain as a calibration says: predicted sigma against the scatter of many simulated calibrations.
 
 Example:
-    PYTHONPATH=.:tests python benchmarks/uncertainty.py sigma declared
-    PYTHONPATH=.:tests python benchmarks/uncertainty.py sigma found --runs 60
+    PYTHONPATH=.:tests/support python benchmarks/uncertainty.py sigma declared
+    PYTHONPATH=.:tests/support python benchmarks/uncertainty.py sigma found --runs 60
 
 A UR10 with constants 1 mm and 1 mrad off, drawn anew in each run like its frames, its effects and the noise of 0.1 mm and
 0.1 mrad, is calibrated from rows of six tenths of its joints' ranges. At 100 configurations inside these ranges, and at 100

@@ -29,21 +29,21 @@ PYTHONS = ("3.11", "3.12", "3.13")
 CELLS = tuple(f"{python}-{versions}" for python in PYTHONS for versions in ("lowest", "newest"))
 
 QUICK = (
-    "test_calibration",
-    "test_campaign",
-    "test_command_line",
-    "test_completion",
-    "test_dataset",
-    "test_files",
-    "test_head_pose",
-    "test_head_square",
-    "test_boards_sheet",
-    "test_least_squares",
-    "test_model",
-    "test_predict",
-    "test_robot",
-    "test_splice",
-    "test_urdf_files",
+    "jobs/calibrate/test_calibration",
+    "files/test_campaign",
+    "doors/test_command_line",
+    "doors/test_completion",
+    "files/test_dataset",
+    "system/test_files",
+    "jobs/head1992/test_head_pose",
+    "jobs/head1992/test_head_square",
+    "jobs/boards/test_boards_sheet",
+    "engine/fit/test_least_squares",
+    "engine/model/test_model",
+    "jobs/apply/test_predict",
+    "engine/robot/test_robot",
+    "engine/robot/test_splice",
+    "engine/robot/test_urdf_files",
 )
 """Test files that call every dependency but those of the pictures, which the doctor's calibration draws."""
 

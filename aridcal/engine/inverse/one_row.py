@@ -305,7 +305,7 @@ class _Loads(_Tree):
 
     There are two roads to the loads because one row must not cost more than its pose: Pinocchio's recursion takes 4 us
     for it, the arrays of ``covariate_table`` over 1 ms (for thousands of rows both take 3 us a row). Each checks the other
-    in ``tests/test_one_row.py``.
+    in ``tests/engine/inverse/test_one_row.py``.
 
     Pinocchio's recursion gives the wrench that holds up everything beyond a joint; its opposite is the load.
 
