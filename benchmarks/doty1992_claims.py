@@ -16,9 +16,9 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from doty_arm import LENGTHS as OTHER_LENGTHS
+from doty_arm import angles, arid, conditions, printed_E, random_q, ranks
 from matplotlib.figure import Figure
-from test_doty1992 import LENGTHS as OTHER_LENGTHS
-from test_doty1992 import angles, arid, conditions, printed_E, random_q, ranks
 
 from aridcal.engine.robot.doty1992 import E, pose, solve_psi
 

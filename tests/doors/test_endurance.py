@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import robots
+from arid_saved import calibration, inside
 from rich.console import Console
-from test_compensate import BACKLASH, HEAT, POSE, readings, wanted
-from test_compensate import calibration as with_play
-from test_predict import calibration, inside
+from ur10_saved import BACKLASH, HEAT, POSE, readings, wanted
+from ur10_saved import calibration as with_play
 
 from aridcal import compensate, identify, predict
 from aridcal.engine.corrections.basis import Basis

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import robots
 import yaml
-from test_other_readings import XYZ, Q, Spoil, counted, inverted, machine
+from misread import XYZ, Q, Spoil, counted, inverted, machine
 
 import aridcal
 import aridcal.identify

@@ -10,7 +10,7 @@ import chromium
 import numpy as np
 import pytest
 import robots
-import test_measure
+import shot_campaigns
 from scipy.spatial.transform import Rotation
 
 from aridcal.identify import main as identify
@@ -157,7 +157,7 @@ def test_the_results_scene_opens_without_complaint(result: Path, browser: chromi
 
 
 def test_the_sheet_of_shots_opens_without_complaint(browser: chromium.Browser, tmp_path: Path) -> None:
-    shots = test_measure.Campaign(tmp_path)
+    shots = shot_campaigns.Campaign(tmp_path)
     assert shots.run() == 0
     for width in (390, 1280):
         with browser.open(tmp_path / "out" / "shots.html", width, 900) as page:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from doty1992_claims import FOLDER, LENGTHS, NOISE, POSES, SQUARES, Claims, claims, page, pictures, strip_readings
+from doty_arm import angles, arid, random_q
 from repository import ROOT
-from test_doty1992 import angles, arid, random_q
 
 from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE, error_vector, pose, solve_psi
 

@@ -13,6 +13,7 @@ import yaml
 from repository import ROOT
 from scipy.spatial.transform import Rotation
 
+from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.problem import Problem, problem
@@ -218,3 +219,22 @@ def moved(truth: Truth, world: pin.SE3, tip: pin.SE3) -> Truth:
     model = replace(truth.model, world_base=frames[0], tip_target=frames[1])
     rows = placed(truth.measured, position=p, rotation=world.rotation @ R @ tip.rotation)
     return replace(truth, model=model, measured=rows)
+
+
+TIME = Basis("linear", ("time",), (0.5,))
+
+
+def wave(joint: str) -> Basis:
+    return Basis("sin", (joint,), (1.5,))
+
+
+def varying(robot: Robot) -> tuple[Coefficient, ...]:
+    """Every component that an effect may move, each with a basis that differs from row to row."""
+    found = []
+    for joint in robot.joints:
+        own = ("axis", "t1", "t2", "r1", "r2")
+        own = (*own, "roll", "pitch", "yaw") if joint.kind == "prismatic" else own
+        found += [Coefficient(joint.name, c, wave(joint.name)) for c in own]
+        found.append(Coefficient(joint.name, "axis", Basis("linear", (f"{joint.name}.gravity_torque",), (0.0,))))
+    frames = [Coefficient(w, c, TIME) for w in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
+    return tuple(found + frames)

@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import arid_saved
 import cv2
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import robots
-import test_predict
 import yaml
 
 Spoil = Callable[[Path], object]
@@ -30,7 +30,7 @@ def write_sound_files(folder: Path) -> None:
         robots.arid(), 30, rng, 1e-3, 1e-4, world=robots.random_placement(rng), tip=robots.random_placement(rng, 0.2)
     )
     robots.write_campaign(folder, truth)
-    saved = test_predict.calibration(text=(folder / "campaign.yaml").read_text())
+    saved = arid_saved.calibration(text=(folder / "campaign.yaml").read_text())
     (folder / "calibration.yaml").write_text(saved.dump(), encoding="utf-8")
     table = robots.table(truth)
     table[list(truth.model.robot.readings)].to_csv(folder / "query.csv", index=False)

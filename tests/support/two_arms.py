@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pinocchio as pin
+import two_arms
 import yaml
 from scipy.spatial.transform import Rotation
 
@@ -252,3 +253,7 @@ def write(folder: Path, robot: Machine, ways: tuple[str, ...], q: np.ndarray, se
     } | more
     (folder / "campaign.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
     return folder / "campaign.yaml"
+
+
+def readings(robot: two_arms.Machine, n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(-1.1, 1.1, (n, len(robot.joints)))

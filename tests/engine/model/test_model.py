@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 import robots
 import yourdfpy
+from robots import TIME, varying, wave
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, Coefficient
@@ -22,7 +23,6 @@ from aridcal.engine.robot.doty import doty_links, link_transform
 from aridcal.engine.robot.kinematics import gravity_loads, rotations, tip_frames, transverse, tree_frames
 from aridcal.system.errors import CovariateNotFound, MeasurementError
 
-TIME = Basis("linear", ("time",), (0.5,))
 ROBOTS = {
     "any axes": lambda: robots.random_robot(1, "RPRC"),
     "frame axes": lambda: robots.random_robot(2, "PRRP", aligned=True),
@@ -43,22 +43,6 @@ def mimicking(urdf: bytes) -> bytes:
     start = urdf.index(b'<joint name="joint_1"')
     end = urdf.index(b"</joint>", start)
     return urdf[:end] + b'<mimic joint="joint_3" multiplier="-0.7" offset="0.2"/>' + urdf[end:]
-
-
-def wave(joint: str) -> Basis:
-    return Basis("sin", (joint,), (1.5,))
-
-
-def varying(robot: Robot) -> tuple[Coefficient, ...]:
-    """Every component that an effect may move, each with a basis that differs from row to row."""
-    found = []
-    for joint in robot.joints:
-        own = ("axis", "t1", "t2", "r1", "r2")
-        own = (*own, "roll", "pitch", "yaw") if joint.kind == "prismatic" else own
-        found += [Coefficient(joint.name, c, wave(joint.name)) for c in own]
-        found.append(Coefficient(joint.name, "axis", Basis("linear", (f"{joint.name}.gravity_torque",), (0.0,))))
-    frames = [Coefficient(w, c, TIME) for w in ("world_base", "tip_target") for c in FRAME_COMPONENTS]
-    return tuple(found + frames)
 
 
 SETS = {

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 import pinocchio as pin
 import pytest
+from doty_arm import LENGTHS, angles, arid, conditions, printed_E, random_q, ranks
 from repository import ROOT
 
 from aridcal.engine.corrections.effect import Coefficient
@@ -37,39 +38,11 @@ from aridcal.system.errors import NotIdentifiable
 
 URDF = ROOT / "urdf"
 
-LENGTHS = np.array([0.5, 1.2, 0.9])
-LIMITS = np.array([[0.0, 718 * 0.0254], *np.radians([[4, 112], [102, 148], [-117, -16]])])
 TABLE_3_1_PSI = [k for k, name in enumerate(PSI) if not name.startswith("joint_4")]  # psi6: beta_4 = alpha_4 = 0
-
-
-def random_q(rng: np.random.Generator, *shape: int) -> np.ndarray:
-    return rng.uniform(LIMITS[:, 0], LIMITS[:, 1], (*shape, 4))
-
-
-def angles(q: np.ndarray, theta_1: float = 0.0) -> np.ndarray:
-    return np.concatenate([np.full((*q.shape[:-1], 1), theta_1), q[..., 1:]], axis=-1)
-
-
-def arid(psi: np.ndarray | None = None, lengths: np.ndarray = LENGTHS) -> np.ndarray:
-    links = np.zeros((4, 5))
-    links[:3, 3] = lengths
-    if psi is not None:
-        links[:, 2], links[:, 4] = psi.reshape(2, 4)
-    return links
 
 
 def columns(names: list[str]) -> list[int]:
     return [PARAMETERS.index(name) for name in names]
-
-
-def ranks(matrices: np.ndarray) -> np.ndarray:
-    values = np.linalg.svd(matrices, compute_uv=False)
-    return np.sum(values > 1e-10 * values[..., :1], axis=-1)
-
-
-def conditions(matrices: np.ndarray) -> np.ndarray:
-    values = np.linalg.svd(matrices, compute_uv=False)
-    return values[..., 0] / values[..., -1]
 
 
 def stacked_E(rng: np.random.Generator, sets: int, n: int, theta_1: float = 0.0) -> np.ndarray:
@@ -336,20 +309,6 @@ def test_first_order_error_is_quadratic_in_x_y_and_the_block_and_cubic_in_the_re
 
 
 # --- E as printed, and the two-pose system
-
-
-def printed_E(theta: np.ndarray) -> np.ndarray:
-    """Rows 1 to 4 of E as Doty (1992) prints them: shape (..., 4, 8), for theta of shape (..., 4)."""
-    _, t2, t3, t4 = np.moveaxis(theta, -1, 0)
-    f1, f12, f123, f1234 = np.moveaxis(np.cumsum(theta, axis=-1), -1, 0)
-    zero, one, c, s = np.zeros_like(t2), np.ones_like(t2), np.cos, np.sin
-    rows = [
-        [c(f1234), c(f123), c(f12), c(f1), s(f1234), s(f123), s(f12), s(f1)],
-        [s(f1234), s(f123), s(f12), s(f1), -c(f1234), -c(f123), -c(f12), c(f1)],
-        [zero, -c(t3 + t4), c(t4), -one, s(t2 + t3 + t4), s(t3 + t4), s(t4), zero],  # the first cell is blank
-        [s(t2 + t3 + t4), s(t3 + t4), s(t4), zero, c(t2 + t3 + t4), c(t3 + t4), c(t4), one],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def test_the_printed_E_is_wrong_in_18_cells():

@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
-from test_round_trip import PUBLIC
 
 import aridcal.engine.fit.constants
 from aridcal.engine.corrections.basis import ALWAYS
@@ -34,7 +33,7 @@ FILES = {
 
 def public(name: str) -> Robot:
     file, base, tip = FILES[name]
-    return load_robot(PUBLIC / file, tip, base)
+    return load_robot(robots.SHARED_ROBOTS / file, tip, base)
 
 
 def wrong(robot: Robot, seed: int = 0) -> tuple[Model, np.ndarray]:
@@ -52,7 +51,7 @@ def test_public_robots_with_their_mimics_are_written_without_a_word(name: str, t
 
 def test_a_robot_of_two_arms_and_the_zeros_of_its_joints_are_written(tmp_path: Path) -> None:
     file, base, tip = FILES["talos"]
-    robot = with_limbs(load_robot(PUBLIC / file, tip, base), ["gripper_right_base_link"])
+    robot = with_limbs(load_robot(robots.SHARED_ROBOTS / file, tip, base), ["gripper_right_base_link"])
     zeros = tuple(Coefficient(name, "axis", ALWAYS) for name in robot.readings)
     model = Model(robot, (*constants(robot, "full"), *zeros))
     theta = np.random.default_rng(1).normal(0.0, 1e-2, len(model.coefficients))

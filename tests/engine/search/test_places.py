@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from linear_models import made_up
 from robots import simulate, table, ur10, write_campaign
 from scipy.optimize import minimize_scalar
 from scipy.stats import multivariate_normal
-from test_hints import made_up
 
 import aridcal
 from aridcal.engine.corrections.place_scatter import place_columns, place_scatter

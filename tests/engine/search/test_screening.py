@@ -7,8 +7,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from linear_models import SLOTS, linear, made_up, with_effect
 from scipy.stats import rankdata, wilcoxon
-from test_hints import SLOTS, linear, made_up, with_effect
 
 from aridcal.engine.corrections.basis import Basis, evaluate
 from aridcal.engine.corrections.effect import Coefficient, Effect

@@ -9,9 +9,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from linear_models import linear, made_up, with_effect
 from robots import simulate, table, ur10, write_campaign
 from scipy.stats import multivariate_normal
-from test_hints import linear, made_up, with_effect
 
 import aridcal
 from aridcal.engine.corrections.basis import Basis

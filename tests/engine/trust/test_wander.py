@@ -12,7 +12,7 @@ import two_arms
 import yaml
 from calibrated import NOISE, machine, measured
 from scipy.linalg import null_space
-from test_trees import readings
+from two_arms import readings
 
 import aridcal
 from aridcal.engine.fit.least_squares import Fit, fit_identifiable

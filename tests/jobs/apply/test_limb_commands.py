@@ -11,7 +11,7 @@ import pandas as pd
 import pinocchio as pin
 import pytest
 import two_arms
-from test_trees import readings
+from two_arms import readings
 
 import aridcal
 import aridcal.compensate

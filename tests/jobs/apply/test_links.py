@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
-from test_model import varying
-from test_other_readings import machine
+from misread import machine
+from robots import varying
 
 import aridcal
 import aridcal.predict

@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 import two_arms
 import yaml
-from test_trees import readings
+from two_arms import readings
 
 import aridcal
 from aridcal.engine.robot.chain import parse_robot, with_limbs

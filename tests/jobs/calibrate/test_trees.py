@@ -13,6 +13,7 @@ import pytest
 import tree_robot
 import two_arms
 import yaml
+from two_arms import readings
 
 import aridcal
 import aridcal.compensate
@@ -28,10 +29,6 @@ LIMIT = 1.3
 """Held-out errors of a tenth of some 150 rows scatter by less."""
 
 XYZ = ["x", "y", "z"]
-
-
-def readings(robot: two_arms.Machine, n: int, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).uniform(-1.1, 1.1, (n, len(robot.joints)))
 
 
 @pytest.fixture(scope="module")

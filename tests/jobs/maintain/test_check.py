@@ -17,7 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal, multivariate_t
-from test_simulate_instruments import scenario
+from simulated_instruments import scenario
 
 from aridcal.__main__ import main
 from aridcal.engine.corrections.basis import Basis

@@ -13,7 +13,7 @@ import pytest
 import robots
 import yaml
 from calibrated import NOISE, Machine, by_instruments, jump, machine
-from test_simulate_instruments import EYE
+from simulated_instruments import EYE
 
 from aridcal.__main__ import main
 from aridcal.engine.model.model import ONE_FRAME

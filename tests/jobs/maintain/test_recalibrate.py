@@ -14,7 +14,7 @@ import pytest
 import robots
 import yaml
 from calibrated import NOISE, Machine, by_instruments, jump, machine
-from test_simulate_instruments import EYE
+from simulated_instruments import EYE
 
 import aridcal
 from aridcal.__main__ import main

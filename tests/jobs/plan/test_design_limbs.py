@@ -15,8 +15,8 @@ import tree_robot
 import trees
 import two_arms
 import yaml
-from test_trees import readings
 from tree_ways import WAYS
+from two_arms import readings
 
 import aridcal
 import aridcal.design

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import two_arms
 import yaml
-from test_trees import readings
+from two_arms import readings
 
 import aridcal
 import aridcal.init

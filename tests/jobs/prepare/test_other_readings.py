@@ -12,40 +12,21 @@ import pandas as pd
 import pytest
 import robots
 import yaml
+from misread import XYZ, Q, Spoil, counted, machine, rotation
 from scipy.spatial.transform import Rotation
 
 import aridcal.identify
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.fit.constants import constants, station_labels
-from aridcal.engine.model.model import Model
-from aridcal.engine.robot.chain import Robot
+from aridcal.engine.fit.constants import station_labels
 from aridcal.engine.search.loop import fit_constants
 from aridcal.files.campaign import load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.prepare.other_readings import refuse_misread
 from aridcal.system.errors import NotOfThisRobot
 
-Q = ["qx", "qy", "qz", "qw"]
-XYZ = ["x", "y", "z"]
 ABC = ["A", "B", "C"]
 FIRST = {"orientation": {"euler": "ZYX", "columns": ABC}}
-
-Spoil = Callable[[pd.DataFrame], pd.DataFrame]
-
-
-def machine(robot: Robot, share: float = 1.0, n: int = 120, size: float = 2e-3, seed: int = 0) -> robots.Truth:
-    """A robot whose constants are off by 2 mm and 2 mrad, moving over a share of its range about a bent posture."""
-    rng = np.random.default_rng(seed)
-    coefficients = constants(robot, "full")
-    frames = (((None, robots.random_placement(rng)),), ((None, robots.random_placement(rng, 0.2)),))
-    model = Model(robot, coefficients, *frames)
-    theta = rng.normal(0.0, size, len(coefficients))
-    q = robots.readings(robot, n, rng, share) + (min(0.3, share) if share < 1 else 0.0)
-    R, p = model.poses(theta, model.rows(q))
-    p = p + rng.normal(0, 1e-4, p.shape)
-    R = Rotation.from_rotvec(rng.normal(0, 1e-4, p.shape)).as_matrix() @ R
-    return robots.Truth(model, theta, robots.measured(robot, q, p, R))
 
 
 def judge(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: Any) -> None:
@@ -62,10 +43,6 @@ def judge(folder: Path, truth: robots.Truth, table: pd.DataFrame, **sections: An
     refuse_misread(campaign, robot, rows, geometry)
 
 
-def rotation(table: pd.DataFrame) -> Rotation:
-    return Rotation.from_quat(table[Q])
-
-
 def in_letters(word: str) -> Spoil:
     """Orientations as A B C in place of a quaternion."""
 
@@ -76,25 +53,8 @@ def in_letters(word: str) -> Spoil:
     return change
 
 
-def inverted(places: bool) -> Spoil:
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        back = rotation(table).inv()
-        table = table.assign(**dict(zip(Q, back.as_quat().T, strict=True)))
-        return (
-            table.assign(**dict(zip(XYZ, -back.apply(table[XYZ].to_numpy(copy=True)).T, strict=True)))
-            if places
-            else table
-        )
-
-    return change
-
-
 def scaled(factor: float, *columns: str) -> Spoil:
     return lambda table: table.assign(**{name: factor * table[name] for name in columns})
-
-
-def counted(sign: float, zero: float, column: str) -> Spoil:
-    return lambda table: table.assign(**{column: sign * table[column] + zero})
 
 
 def exchanged(one: str, two: str) -> Spoil:

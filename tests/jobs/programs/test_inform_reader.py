@@ -10,7 +10,7 @@ from calibrated import machine
 from posture_arms import ABB, FANUC
 from program_attacks.yaskawa import BEFORE, FRAMES, GO, HOME, PULSES, START, USER, job, position
 from robots import ur10
-from test_fanuc_reader import robot
+from six_axes import robot
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.jobs.apply.programs.axes import DEGREE
