@@ -119,8 +119,7 @@ CLOSED = [">&-", "<&- >&-", "<&- >&- 2>&-"]
 @pytest.mark.parametrize(
     ("words", "redirected"),
     [
-        *itertools.product([["--version"], ["identify", "--help"]], CLOSED),
-        (["doctor"], CLOSED[-1]),  # a whole calibration
+        *itertools.product([["--version"], ["identify", "--help"]], CLOSED[1:]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )

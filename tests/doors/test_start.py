@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pytest
 import robots
 from repository import ROOT
@@ -19,7 +18,6 @@ from scipy.stats import binom
 
 from aridcal.engine.fit.flags import cluster, coordinates
 from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
-from aridcal.files.tables import _floats
 from aridcal.jobs.calibrate.folder import residual_table, write_results
 from aridcal.jobs.calibrate.pipeline import identify
 
@@ -97,20 +95,14 @@ def test_a_slip_in_a_table_is_told_before_what_fits_is_loaded(tmp_path: Path) ->
 
 
 def test_a_whole_calibration_needs_neither_scipy_stats_nor_pandas_nor_matplotlib(tmp_path: Path) -> None:
-    truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(1), noise=1e-4)
-    path = robots.write_campaign(tmp_path, truth)
-    there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 0", str(path))
-    assert (tmp_path / "results" / "report.html").stat().st_size > 100_000
-    assert {"aridcal.pages.report.page", "scipy.linalg"} <= there
-    assert not there & {"cv2", "matplotlib", "pandas", "scipy.interpolate", "scipy.stats"}
-
-
-def test_nor_do_targets_that_a_table_names(tmp_path: Path) -> None:
+    """Of targets that the table names, too."""
     truth = robots.simulate(robots.ur10(), 60, np.random.default_rng(1), noise=1e-4)
     rows = robots.table(truth).assign(target=np.where(np.arange(60) % 2, "left", "right"))
     ends = {side: {"on": truth.model.robot.tip} for side in ("left", "right")}
     path = robots.write_campaign(tmp_path, truth, rows, instruments={"targets": ends})
     there = loaded("import aridcal.identify; assert aridcal.identify.main(sys.argv[1:]) == 0", str(path))
+    assert (tmp_path / "results" / "report.html").stat().st_size > 100_000
+    assert {"aridcal.pages.report.page", "scipy.linalg"} <= there
     assert not there & {"cv2", "matplotlib", "pandas", "scipy.interpolate", "scipy.stats"}
 
 
@@ -146,14 +138,6 @@ def test_rows_that_were_seen_before_are_counted_as_pandas_counts() -> None:
     np.testing.assert_array_equal(order, mixed.index)
     np.testing.assert_array_equal(seen_before(labels[order]), mixed.groupby(mixed).cumcount())
     assert len(seen_before(labels[:0])) == 0
-
-
-def test_numbers_of_arrow_are_read_as_its_own_conversion_does() -> None:
-    values = pa.array([1.0, None, -3e300, float("nan"), 5.0, None, 7.0])
-    whole = [values, values.slice(1, 4), values.slice(6), values.slice(2, 0), pa.nulls(2, pa.float64())]
-    for chunks in (whole, whole[1:2], whole[3:4], whole[4:]):
-        column = pa.chunked_array(chunks, pa.float64())
-        np.testing.assert_array_equal(_floats(column), column.to_numpy())
 
 
 def test_residuals_are_written_as_pandas_would(tmp_path: Path) -> None:

@@ -18,8 +18,6 @@ import yaml
 from lxml import html
 
 from aridcal.calibration import Calibration
-from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR
-from aridcal.engine.instruments.setup import Block
 from aridcal.files.purposes import About
 from aridcal.identify import main as identify_main
 from aridcal.jobs.calibrate.outcome import Outcome
@@ -190,14 +188,6 @@ def test_uncertainty_that_no_row_tells_is_not_stated(outcome: Outcome, folder: P
     assert "so no uncertainty of its place can be stated" in said
     assert "Uncertainty, k = 2 not known" in said
     assert "nan" not in said and "normal noise" not in said
-
-
-def test_a_hash_that_leaves_images_out_says_so(outcome: Outcome) -> None:
-    m = outcome.measurements
-    head = Block("head", CAMERA_SONAR.name, (), ())
-    assert module._joined(replace(m, blocks=(head,))) == " (without its images)"
-    assert module._joined(m) == ""
-    assert module._joined(m.with_origin(files=m.origin.files * 2)) == " (one after the other)"
 
 
 @pytest.mark.parametrize("tied", [True, False])

@@ -514,12 +514,6 @@ def red(pixels: np.ndarray) -> int:
     return int(((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum())
 
 
-def coloured(pixels: np.ndarray, hexadecimal: str) -> int:
-    """Pixels of an unlit colour."""
-    wanted = [int(hexadecimal[k : k + 2], 16) for k in (1, 3, 5)]
-    return int((np.abs(pixels[:, 330:] - wanted).max(axis=-1) < 40).sum())
-
-
 def changed(before: np.ndarray, after: np.ndarray) -> int:
     """Pixels of the room that differ."""
     return int((np.abs(before - after)[:, 330:].max(axis=-1) > 12).sum())
@@ -572,7 +566,6 @@ def test_the_page_draws_robot_ghost_targets_and_needles(page: chromium.Page) -> 
 
 
 def test_before_and_after_are_one_click_apart(page: chromium.Page, scene: Scene) -> None:
-    after = page.pixels()
     assert page.evaluate(IN_SIGHT)
     assert [page.evaluate(f"document.getElementById('{side}').className") for side in ("was", "is")] == ["", "on"]
     errors = [stage["rms"] for stage in scene_content(scene, robot_shapes(scene.nominal)[0])["stages"]]
@@ -582,11 +575,9 @@ def test_before_and_after_are_one_click_apart(page: chromium.Page, scene: Scene)
     assert shown == pytest.approx([errors[0], errors[-1]], rel=5.1e-3)
     click(page, "#flip")
     assert [page.evaluate(f"document.getElementById('{side}').className") for side in ("was", "is")] == ["on", ""]
-    before = page.pixels()
     assert page.evaluate("document.querySelector('input[name=stage]:checked').value") == "0"
-    assert coloured(before, VIRIDIS[-1]) > 3 * coloured(after, VIRIDIS[-1])  # before calibration the errors are large
     click(page, "#flip")
-    assert changed(after, page.pixels()) < 20
+    assert page.evaluate("document.querySelector('input[name=stage]:checked').value") == "1"
     assert read(page, "stages").split("\n")[::2] == ["nominal", "final"]
     assert read(page, "count") == "40 measured poses"
 
@@ -608,33 +599,17 @@ def test_rows_are_stepped_through_with_buttons_keys_and_slider(page: chromium.Pa
     assert read(page, "line") == str(2 + int(np.argmax(np.where(scene.outlier, 0, off))))
 
 
-def test_needles_grow_with_the_slider(page: chromium.Page, scene: Scene) -> None:
-    factor = scene_content(scene, robot_shapes(scene.nominal)[0])["factor"]
-    assert read(page, "times") == f"×{factor}"
-    click(page, "input[name=nominal]")  # the ghost is magnified with them
-    drawn = page.pixels()
-    rung = LADDER.index(factor)
-    choose(page, "factor", rung + 2)
-    assert read(page, "times") == f"×{LADDER[rung + 2]}"
-    longer = page.pixels()
-    click(page, "input[name=vectors]")
-    bare = page.pixels()
-    assert changed(bare, longer) > 2 * changed(bare, drawn)
-
-
 def test_an_effect_switched_off_leaves_what_it_explained(page: chromium.Page, scene: Scene) -> None:
-    shown = page.pixels()
     click(page, "input[name=effect]")
     scored = scene.test & ~scene.outlier
     left = scene.predicted["final"] - scene.moved["joint_map at swing"] - scene.measured
     rms = 1e3 * np.sqrt(np.mean(np.sum(left[scored] ** 2, axis=1)))
     assert read(page, "stages").split("\n")[-1] == f"{rms:.3g} mm"
     assert "Without the effects switched off" in read(page, "alone")
-    assert changed(shown, page.pixels()) > 300
     assert "joint_map at swing" in read(page, "effects")
     assert read(page, "effects").endswith("1.00 mm")
     click(page, "input[name=effect]")
-    assert changed(shown, page.pixels()) < 20
+    assert "Without the effects switched off" not in read(page, "alone")
 
 
 def test_the_room_is_coloured_by_errors_and_by_uncertainty(page: chromium.Page) -> None:
@@ -666,8 +641,6 @@ def test_on_a_phone_the_panel_opens_below_the_robot(browser: chromium.Browser, s
             page.evaluate(f"{box}.top")
             >= page.evaluate("document.querySelector('canvas').getBoundingClientRect().bottom") - 1
         )
-        r, g, b = np.moveaxis(page.pixels()[:400], -1, 0)
-        assert ((r > 60) & (g < 0.35 * r) & (b < 0.35 * r)).sum() > 500  # the robot is still in sight
         assert page.console == []
 
 
@@ -707,7 +680,7 @@ def test_the_browser_follows_the_folder_without_a_reload(
         choose(page, "row", 7)
         choose(page, "factor", 9)
         click(page, "input[name=vectors]")
-        before, said, camera = page.pixels(), read(page, "stages"), page.evaluate(CAMERA)
+        said, camera = read(page, "stages"), page.evaluate(CAMERA)
 
         exchanged(folder, scene_page(other))
         page.wait("document.getElementById('live').textContent.includes('redrawn')")
@@ -717,7 +690,6 @@ def test_the_browser_follows_the_folder_without_a_reload(
         assert read(page, "line") == "9"  # what was chosen stays: the row, what is shown, where one stands
         assert not page.evaluate("document.querySelector('input[name=vectors]').checked")
         assert page.evaluate(CAMERA) == camera
-        assert changed(before, page.pixels()) > 100
         assert page.evaluate("document.querySelectorAll('#panel').length") == 1
         page.evaluate("window.dispatchEvent(new KeyboardEvent('keydown', {key: 'ArrowRight'}))")
         assert read(page, "line") == "10"  # and not two rows on: the earlier scene listens no more

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -93,7 +94,9 @@ def questions(source: str) -> list[tuple[int, str]]:
 
 
 def test_no_module_outside_instruments_asks_for_a_kind_by_its_name() -> None:
-    found = {str(path.relative_to(PACKAGE)): questions(path.read_text("utf-8")) for path in MODULES}
+    named = re.compile("|".join([*(f"[\"']{name}[\"']" for name in KINDS), r"aridcal\.engine\.instruments\."]))
+    sources = {str(path.relative_to(PACKAGE)): path.read_text("utf-8") for path in MODULES}
+    found = {path: questions(source) for path, source in sources.items() if named.search(source)}
     assert {path: asked for path, asked in found.items() if asked} == {}
 
 

@@ -63,7 +63,7 @@ def positions_only(truth: robots.Truth) -> robots.Truth:
 
 @pytest.mark.parametrize("robot", [robots.arid, robots.ur10], ids=["arid", "ur10"])
 @pytest.mark.parametrize("kind", ["pose", "position"])
-def test_thirty_random_frames_lead_to_the_same_optimum(kind: str, robot) -> None:  # type: ignore[no-untyped-def]
+def test_random_frames_lead_to_the_same_optimum(kind: str, robot) -> None:  # type: ignore[no-untyped-def]
     """A robot off by millimetres, measured with noise; tracker and target anywhere, in any attitude.
 
     The target stays at its place on the tip, so that the cost itself must not change.
@@ -71,7 +71,7 @@ def test_thirty_random_frames_lead_to_the_same_optimum(kind: str, robot) -> None
     rng = np.random.default_rng(0)
     base = robots.simulate(robot(), 60, rng, 1e-3, 1e-4, tip=robots.random_placement(rng, 0.3))
     costs = []
-    for _ in range(30):
+    for _ in range(12):
         truth = robots.moved(base, robots.random_placement(rng, 5.0), robots.random_placement(rng, 0.0))
         truth = positions_only(truth) if kind == "position" else truth
         cost, model, theta = optimum(truth, starts(truth))

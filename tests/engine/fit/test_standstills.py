@@ -141,13 +141,13 @@ def test_the_likelihood_with_unknown_things_is_that_of_dense_columns(tmp_path: P
 
 
 def test_a_motion_that_rows_share_is_found_with_its_size_beside_unknown_markers(tmp_path: Path) -> None:
-    """30 draws: a mean is known to a fifth of the std, the std of the draws to 13 %."""
+    """16 draws: a mean is known to a quarter of the std, the std of the draws to 18 %."""
     scatter = scattered(*asked(tmp_path, "markers", 60))
     held, found = np.array([True, False]), []
     values, vectors = np.linalg.eigh(scatter.blocks[1])
     root = np.sqrt(values[:, -1:]) * vectors[:, :, -1]
     there = np.einsum("nii->ni", scatter.blocks[0]) > 0
-    for seed in range(30):
+    for seed in range(16):
         rng = np.random.default_rng(seed)
         y = 0.2 * rng.normal(size=there.shape) * there + 0.5 * root * rng.normal(size=(len(there), 1))
         drawn = replace(scatter, y=y)
@@ -155,8 +155,8 @@ def test_a_motion_that_rows_share_is_found_with_its_size_beside_unknown_markers(
         assert more is not None
         found.append((more[1].sigma, more[1].sigma_std))
     sigma, std = np.array(found).transpose(1, 0, 2)
-    assert np.all(np.abs(sigma.mean(axis=0) - [0.2, 0.5]) < 4 * std.mean(axis=0) / 5)
-    np.testing.assert_allclose(sigma.std(axis=0), std.mean(axis=0), rtol=0.4)
+    assert np.all(np.abs(sigma.mean(axis=0) - [0.2, 0.5]) < 4 * std.mean(axis=0) / 4)
+    np.testing.assert_allclose(sigma.std(axis=0), std.mean(axis=0), rtol=0.5)
 
 
 def test_of_many_rows_whole_standstills_are_asked_and_few_markers(tmp_path: Path) -> None:

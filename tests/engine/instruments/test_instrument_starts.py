@@ -158,14 +158,14 @@ def wrong(made: Scene, start: Place) -> float:
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane", "inclination"])
 def test_exact_rows_begin_at_the_truth_from_any_attitude(name: str) -> None:
-    off = [wrong(made, made.begun()[0]) for made in (scene(name, seed) for seed in range(20))]
+    off = [wrong(made, made.begun()[0]) for made in (scene(name, seed) for seed in range(7))]
     assert np.max(off) < 1e-6, (name, np.flatnonzero(np.array(off) >= 1e-6))
 
 
 @pytest.mark.parametrize("on_tip", [True, False])
 @pytest.mark.parametrize("board", [True, False])
 def test_exact_images_begin_at_the_truth_from_any_mounting(on_tip: bool, board: bool) -> None:
-    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(3))]
+    off = [wrong(made, made.begun()[0]) for made in (pictures(seed, on_tip, board, shots=8) for seed in range(2))]
     assert np.max(off) < 1e-6, np.flatnonzero(np.array(off) >= 1e-6)
 
 
@@ -189,23 +189,22 @@ def least(made: Scene) -> float:
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane"])
 def test_noisy_rows_begin_where_the_truth_would_end(name: str) -> None:
-    for seed in range(10):
+    for seed in range(5):
         made = noisy(scene(name, seed, n=24), seed)
         assert made.misfit(made.begun()[0]) < 1.01 * least(made), seed
 
 
 @pytest.mark.parametrize(("on_tip", "board"), [(True, False), (False, True)])
 def test_noisy_images_begin_where_the_truth_would_end(on_tip: bool, board: bool) -> None:
-    for seed in range(3):
+    for seed in range(2):
         made = noisy(pictures(seed, on_tip, board, shots=8), seed)
         assert made.misfit(made.begun()[0]) < 1.01 * least(made), seed
 
 
 def test_cameras_help_each_other() -> None:
-    for seed in range(2):
-        for board in (True, False):
-            made = pictures(seed, False, board, shots=6, cameras=2)
-            assert wrong(made, made.begun()[0]) < 1e-6
+    for board in (True, False):
+        made = pictures(0, False, board, shots=6, cameras=2)
+        assert wrong(made, made.begun()[0]) < 1e-6
 
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane"])
@@ -258,12 +257,11 @@ def test_too_few_rows_begin_somewhere_and_never_fail() -> None:
     for n in (0, 1, 3, 7):
         for name in ("point", "distance", "plane", "inclination"):
             assert cut(scene(name, 1), n).begun()
-        for on_tip in (True, False):
-            for board in (True, False):
-                made = cut(pictures(1, on_tip, board, shots=2), n)
-                assert made.begun()
-                if n in (1, 7):  # what no image has
-                    assert replace(made, observed=np.full_like(made.observed, 1e5)).begun()
+        for on_tip, board in ((True, False), (False, True)):
+            made = cut(pictures(1, on_tip, board, shots=2), n)
+            assert made.begun()
+            if n == 7:  # what no image has
+                assert replace(made, observed=np.full_like(made.observed, 1e5)).begun()
 
 
 def carried(role: str, T: np.ndarray, states: np.ndarray) -> np.ndarray:

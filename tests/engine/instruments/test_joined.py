@@ -107,7 +107,7 @@ def test_new_grasps_tell_which_joint_of_which_arm_moved_and_mend_it(
     (folder / "calibration.yaml").write_text(found.model.dump(), encoding="utf-8")
     before = aridcal.load(folder)
     since = replace(robot, slipped=(moved, 2e-3) if moved else None)
-    two_arms.write(tmp_path / "since", since, ("joined",), np.zeros((40, len(robot.joints))), seed=7)
+    two_arms.write(tmp_path / "since", since, ("joined",), np.zeros((32, len(robot.joints))), seed=7)
     new = pd.read_csv(tmp_path / "since" / "joined.csv")
     new["grasp"] = "new " + new["grasp"]
     told = before.check(new)
@@ -118,7 +118,7 @@ def test_new_grasps_tell_which_joint_of_which_arm_moved_and_mend_it(
     (size,) = re.findall(rf"the zero of {moved} \(limb to {limb}\), by \+([\d.]+) ", " ".join(told.lines))
     assert abs(float(size) - 2.0) < 0.3
     after = before.recalibrate(new, tmp_path / "mended")
-    q, label = two_arms.grasps(since, 80, np.random.default_rng(5), 0.0)
+    q, label = two_arms.grasps(since, 40, np.random.default_rng(5), 0.0)
     spread = []
     for each in (before, after):
         places = each.predict(robot.table(q), of="right_hand", within="left_hand")[XYZ].to_numpy(float)

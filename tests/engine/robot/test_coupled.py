@@ -24,7 +24,6 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.drive import Stated
 from aridcal.engine.robot.kinematics import carried_bodies, tip_frames, tree_frames
-from aridcal.engine.trust.regions import _place
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.maintain.new_rows import read_new_rows
@@ -215,13 +214,6 @@ def test_only_a_campaign_that_states_joints_saves_any(done: tuple[robots.Truth, 
     )
     assert (there["joints"], there["coupled"]) == (STATED.joints, STATED.coupled)
     assert there.keys() - plain.keys() == {"joints", "coupled"}
-
-
-def test_readings_that_bring_a_coupled_joint_somewhere_do() -> None:
-    robot = arm()
-    q, wanted = robots.readings(robot, 5, np.random.default_rng(11)), np.linspace(-1.0, 1.0, 5)
-    _place(q, robot.joint(KNUCKLE), wanted, robot.readings)
-    np.testing.assert_allclose(robot.positions(q)[:, robot.names.index(KNUCKLE)], wanted, atol=1e-12)
 
 
 def test_a_column_of_a_joint_that_is_stated_is_refused_until_it_is_ignored(

@@ -283,7 +283,7 @@ def documents(draw):
     return text(0), text(1), origins
 
 
-@settings(max_examples=300, deadline=None, derandomize=True, database=None)
+@settings(max_examples=100, deadline=None, derandomize=True, database=None)
 @given(documents())
 def test_random_documents_change_in_the_origins_and_nowhere_else(document):
     before, after, origins = document

@@ -48,7 +48,7 @@ EFFECTS: dict[str, dict[str, object]] = {
 
 
 def campaign(folder: Path, effects: list[dict[str, object]], covariates: tuple[str, ...] = ("time", "temperature"),
-             n: int = 240, seed: int = 1, outliers: float = 0.0, declared: float = SIGMA) -> Path:  # fmt: skip
+             n: int = 200, seed: int = 1, outliers: float = 0.0, declared: float = SIGMA) -> Path:  # fmt: skip
     """A simulated ARID with constants a millimetre off and some effects of which the campaign says nothing."""
     constants = {f"joint_{k}.{c}": {"std": 1e-3} for k in (2, 3, 4) for c in ("x", "roll", "pitch")}
     scenario = {

@@ -84,10 +84,6 @@ CASES = {
         {"kind": "pixels"}, {"cameras": {"eye": EYE}}, 40,
         {"kind": "lens_distortion", "where": "eye", "motion": "k1", "coefficients": -0.02}, {},
     ),
-    "a wire's anchor that was knocked": Case(
-        {"kind": "distance"}, WIRES, 240,
-        {"kind": "shift", "where": "w2", "coefficients": [2e-3, -1e-3, 1e-3, 5e-4], "at": {"row": 121}}, {},
-    ),
     "a plate that was knocked": Case(
         {"kind": "plane"}, PLATES, 160,
         {"kind": "shift", "where": "wall", "coefficients": [1e-3, -1e-3, 1e-3], "at": {"row": 81}}, {"gauge": 0.02},

@@ -38,9 +38,7 @@ def named(outcome: Outcome) -> list[tuple[str, str]]:
     return [(e.effect.kind, e.effect.where) for e in outcome.effects]
 
 
-@pytest.mark.parametrize(
-    ("width", "height", "kind"), [(0.05, 5e-3, "pose"), (0.1, 20e-3, "position"), (0.2, 3e-3, "pose")]
-)
+@pytest.mark.parametrize(("width", "height", "kind"), [(0.05, 5e-3, "pose"), (0.1, 20e-3, "position")])
 def test_a_bump_is_a_joint_map_and_no_row_of_it_is_an_outlier(
     width: float, height: float, kind: str, tmp_path: Path
 ) -> None:

@@ -47,7 +47,7 @@ def test_a_clean_arm_whose_instrument_errs_alike_at_a_place_has_no_effect(tmp_pa
 
 def test_of_thousands_of_rows_those_that_are_searched_have_the_places(tmp_path):
     """The attack: rows beyond those that are searched, whose places are numbered otherwise."""
-    assert identified(tmp_path, True, each=90).result["effects"] == []
+    assert identified(tmp_path, True, each=68).result["effects"] == []
 
 
 def test_the_size_of_the_scatter_is_the_likeliest_of_dense_covariances():

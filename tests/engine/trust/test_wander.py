@@ -119,8 +119,8 @@ def test_the_covariance_is_that_of_processes_less_their_mean_over_what_was_seen(
     rows = rng.uniform(low, high, (3, 6))
     process = Wander(over, 1.2, 2e-4, 0.0, 1.0)  # type: ignore[arg-type]
     # Waves of random frequency make such a process (Rahimi and Recht 2007).
-    draws, waves = 3000, 60
-    everywhere = rng.uniform(low, high, (400, 6))
+    draws, waves = 2000, 60
+    everywhere = rng.uniform(low, high, (200, 6))
     samples = np.empty((draws, 3))
     for d in range(draws):
         k, phase = rng.normal(size=(6, waves)) / 1.2, rng.uniform(0.0, 2.0 * np.pi, waves)

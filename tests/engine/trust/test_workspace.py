@@ -52,10 +52,10 @@ def looked(
 
 
 def test_a_point_on_the_target_scatters_as_is_said_of_it() -> None:
-    """Machines, noise and all drawn anew 60 times, constants that no row tells apart among them; positions of a tool's point."""
+    """Machines, noise and all drawn anew 30 times, constants that no row tells apart among them; positions of a tool's point."""
     squares, variance, turned, turns = np.zeros((4, 30))
     q = robots.readings(robots.arid(), 30, np.random.default_rng(9))
-    for seed in range(60):
+    for seed in range(30):
         truth, found, rows = calibrated(n=40, seed=seed, robot=robots.arid())
         _, seen = looked(found, rows, q, TOOL)
         R, p = found.model.poses(found.theta, seen.rows)
@@ -66,8 +66,8 @@ def test_a_point_on_the_target_scatters_as_is_said_of_it() -> None:
         variance += np.einsum("nii->n", seen.covariance)
         turns += np.einsum("nii->n", seen.turns)
     for said, true in ((variance, squares), (turns, turned)):
-        assert np.sqrt(said.sum() / true.sum()) == pytest.approx(1.0, rel=0.08)
-        np.testing.assert_allclose(np.sqrt(said / true), 1.0, rtol=0.3)  # of 60 runs each is known to 7 %
+        assert np.sqrt(said.sum() / true.sum()) == pytest.approx(1.0, rel=0.11)
+        np.testing.assert_allclose(np.sqrt(said / true), 1.0, rtol=0.4)  # of 30 runs each is known to 10 %
 
 
 def test_places_are_where_the_arm_is_in_its_base_frame() -> None:

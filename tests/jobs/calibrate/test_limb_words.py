@@ -99,8 +99,8 @@ def test_one_limb_has_no_such_words(tmp_path: Path) -> None:
 
 
 def test_compare_says_which_constants_of_joints_differ(tmp_path: Path) -> None:
-    first = calibrated(tmp_path / "a", "tracker", 100, joints={"waist": 0.0})
-    second = calibrated(tmp_path / "b", "tracker", 100, joints={"waist": 0.1})
+    first = calibrated(tmp_path / "a", "tracker", 60, joints={"waist": 0.0})
+    second = calibrated(tmp_path / "b", "tracker", 60, joints={"waist": 0.1})
     (said,) = [notice for notice in compare(first.model, second.model).notices if "waist" in notice]
     assert said.startswith("waist stands at 0 rad (`robot.joints`) in the first campaign and stands at 0.1 rad")
     assert not [notice for notice in compare(first.model, first.model).notices if "waist" in notice]
@@ -109,7 +109,7 @@ def test_compare_says_which_constants_of_joints_differ(tmp_path: Path) -> None:
 def tracked(folder: Path, seed: int, slipped: str = "") -> aridcal.Calibration:
     """Two arms seen by a tracker, perhaps after a zero has moved by 2 mrad."""
     machine = replace(two_arms.machine(), slipped=(slipped, 2e-3) if slipped else None)
-    q = readings(machine, 150, seed)
+    q = readings(machine, 110, seed)
     return aridcal.calibrate(two_arms.write(folder, machine, ("tracker",), q, seed, diagnosis={"enabled": False}))
 
 

@@ -222,7 +222,7 @@ def test_a_payload_on_a_hand_bends_the_arm_that_carries_it(tmp_path: Path) -> No
 
 def test_payloads_on_both_hands_bend_the_arms_that_carry_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Round trip, a check of new rows, and rows after a change, with a column for each mass."""
-    q, rng = readings(two_arms.machine(), 300), np.random.default_rng(4)
+    q, rng = readings(two_arms.machine(), 200), np.random.default_rng(4)
     masses = {side: rng.choice([0.0, 5.0, 10.0], len(q)) for side in ("left", "right")}
     robot = two_arms.machine(2, yields=5e-5)
     robot = replace(

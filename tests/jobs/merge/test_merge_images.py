@@ -158,7 +158,7 @@ def test_a_moving_picture_and_clocks_that_differ_are_told(tmp_path: Path, capsys
     assert "no CameraInfo belongs to it" in out
     assert len(pd.read_csv(tmp_path / "a.csv")) == 5
     assert len(list((tmp_path / "a_images").iterdir())) == 5
-    for late, what in ((3.0, "the picture moves at"), (-2.5, "the picture moves at"), (1e6, "no image is of the time")):
+    for late, what in ((3.0, "the picture moves at"), (1e6, "no image is of the time")):
         bag = tmp_path / f"late{late:g}"
         made_bags.write_camera_bag(bag, JOINTS, filmed(SCENES, late, 8.0), "bgr8", None)
         assert main([str(bag), *ARGUMENTS, str(tmp_path / "b.csv")]) == 2

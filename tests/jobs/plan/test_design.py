@@ -39,8 +39,8 @@ SETTINGS = ["A", "D", "G"]
 @pytest.fixture(autouse=True)
 def _few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """A smaller pool than the command's, so that tests are quick."""
-    monkeypatch.setattr(planning, "POOL", 300)
-    monkeypatch.setattr(planning, "SMALL_POOL", 200)
+    monkeypatch.setattr(planning, "POOL", 200)
+    monkeypatch.setattr(planning, "SMALL_POOL", 120)
 
 
 def campaign(
@@ -205,13 +205,13 @@ def test_predicted_sigma_is_the_scatter_of_calibrations(tmp_path: Path) -> None:
     _, exact = targets_of(known, places, np.zeros(80, dtype=int))
     R, p = targets_of(known, plan.readings, np.zeros(30, dtype=int))
     off = []
-    for _ in range(40):
+    for _ in range(20):
         turned = robots.Rotation.from_rotvec(1e-4 * rng.standard_normal((30, 3))).as_matrix() @ R
         rows = robots.measured(robot, plan.readings, p + 1e-4 * rng.standard_normal((30, 3)), turned)
         fit = fit_geometry(made.question, robot, robots.declared(rows, 1e-4, 1e-4), ()).geometric
         off.append(fit.model.poses(fit.theta, fit.model.rows(places))[1] - exact)
     scatter = np.sqrt(np.mean(np.sum(np.array(off) ** 2, axis=2)))
-    assert plan.at_n.rms == pytest.approx(scatter, rel=0.12)  # 40 draws of some 20 unknowns, other places
+    assert plan.at_n.rms == pytest.approx(scatter, rel=0.15)  # 20 draws of some 20 unknowns, other places
 
 
 @pytest.mark.parametrize(
@@ -236,7 +236,7 @@ def test_a_plan_is_within_five_per_cent_of_the_best_of_many_exchanges(
     candidates = draw_candidates(known, 200, n, rng)
     choice, _ = question(known, Asked(n), candidates, region_readings(known, None, rng))
     found = choice.cost(best_choice(choice, n, rng))
-    others = [choice.cost(exchanged(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(15)]
+    others = [choice.cost(exchanged(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(8)]
     assert np.sqrt(found) <= 1.05 * np.sqrt(min(others))
 
 
@@ -371,7 +371,7 @@ def test_new_rows_add_to_those_measured(begun: Campaign) -> None:
     rows = load_measurements(begun, robot.readings, robot.limits, robot.kinds)
     fit = fit_constants(begun.question, robot, rows, ()).geometric
     drawing = np.random.default_rng(np.random.SeedSequence(0).spawn(3)[0])
-    draw_candidates(known, 300, 16, drawing)
+    draw_candidates(known, 200, 16, drawing)
     places = region_readings(known, None, drawing)
     _, _, J = fit.model.jacobian(fit.theta, fit.model.rows(places))
     own = np.einsum("nik,kl,nil->n", J[:, :3], fit.covariance, J[:, :3])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
@@ -20,11 +21,20 @@ from two_arms import readings
 
 import aridcal
 import aridcal.design
+from aridcal.jobs.plan import pose_design as planning
 
 ROBOT = two_arms.machine()
 NOMINAL = pin.buildModelFromXML(two_arms.urdf().decode())
 ARMS = {side: [f"{side}_j{k}" for k in range(1, 7)] for side in ("left", "right")}
 SMALL = 1e-6
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_candidates() -> Iterator[None]:
+    """A smaller pool than the command's, so that plans are quick."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "POOL", 200)
+        yield
 
 
 def planned(folder: Path, n: int, bare: bool = False, urdf: bytes = b"", **more: object) -> pd.DataFrame:
