@@ -92,15 +92,20 @@ def test_a_link_that_bends_along_the_rail_is_found_where_it_is(bent: tuple[Outco
     assert rms(outcome.stage("final").residual[test, :3]) < 1.15 * noise
 
 
+@pytest.fixture(scope="module")
+def without(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    """An arm that is the same everywhere, and nothing is sought."""
+    return identify(simulated(tmp_path_factory.mktemp("plain"), [], 100, diagnosis={"enabled": False}))
+
+
 @pytest.mark.parametrize("stated", [[], [BENT, {"kind": "residual_field", "where": "world_base"}]])
 def test_where_nothing_varies_the_one_model_stays_to_the_last_digit(
-    stated: list[dict[str, object]], tmp_path: Path
+    stated: list[dict[str, object]], without: Outcome, tmp_path: Path
 ) -> None:
     path = simulated(
         tmp_path / "asked", [], 100, effects=stated, diagnosis={"candidates": ["regional", "residual_field"]}
     )
-    plain = simulated(tmp_path / "plain", [], 100, diagnosis={"enabled": False})
-    one, without = identify(path), identify(plain)
+    one = identify(path)
     assert not one.effects
     np.testing.assert_array_equal(one.stage("final").residual, without.stage("final").residual)
     said = [notice for notice in one.notices if "the one model of the whole workspace stays" in notice]

@@ -154,20 +154,20 @@ def test_a_stale_row_is_flagged_sooner() -> None:
 
 
 def test_predicted_covariance_matches_repeated_fits() -> None:
-    """200 repetitions: normalised squared errors average to the number of coefficients, and 2 sigma covers 95 %."""
+    """100 repetitions: normalised squared errors average to the number of coefficients, and 2 sigma covers 95 %."""
     rng = np.random.default_rng(4)
     model, theta, data = small(25, rng, 0.0)
     q = data.readings
     errors, squares = [], []
-    for _ in range(200):
+    for _ in range(100):
         found = fit(asked(model, measure(model, theta, q, 2e-4, rng), 2e-4, 2e-4))
         off = found.theta - theta
         errors.append(off / found.std)
         squares.append(off @ np.linalg.solve(found.covariance, off))
     K = len(theta)
-    assert np.mean(squares) == pytest.approx(K, abs=4 * np.sqrt(2 * K / 200))
+    assert np.mean(squares) == pytest.approx(K, abs=4 * np.sqrt(2 * K / 100))
     assert np.mean(np.abs(errors) < 2) == pytest.approx(0.9545, abs=0.03)
-    np.testing.assert_allclose(np.std(errors, axis=0), 1.0, atol=0.2)
+    np.testing.assert_allclose(np.std(errors, axis=0), 1.0, atol=0.28)
 
 
 def test_estimated_noise_is_unbiased_even_with_few_rows() -> None:
@@ -175,11 +175,11 @@ def test_estimated_noise_is_unbiased_even_with_few_rows() -> None:
     rng = np.random.default_rng(5)
     model, theta, data = small(4, rng, 0.0)
     squares = []
-    for _ in range(150):
+    for _ in range(80):
         again = measure(model, theta, data.readings, 1e-3, rng)
         found = fit(problem(model, again), weight=np.ones(4))
         squares.append(found.sigma**2)
-    np.testing.assert_allclose(np.mean(squares, axis=0), 1e-6, rtol=0.15)
+    np.testing.assert_allclose(np.mean(squares, axis=0), 1e-6, rtol=0.2)
 
 
 def test_declared_noise_is_used_and_estimated_noise_reported() -> None:

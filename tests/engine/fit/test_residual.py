@@ -61,7 +61,7 @@ def test_weighing_by_whole_covariances_is_worth_it_and_its_covariance_is_honest(
     rng = np.random.default_rng(3)
     root = np.linalg.cholesky(covariance)
     chi2, squares = [], {"whole": 0.0, "alike": 0.0}
-    for _ in range(60):
+    for _ in range(30):
         error = np.einsum("nij,nj->ni", root, rng.standard_normal((20, 6)))
         turn = Rotation.from_rotvec(error[:, 3:]) * Rotation.from_matrix(T[:, :3, :3])
         noisy = with_places(rows["ignore"], T[:, :3, 3] + error[:, :3], turn.as_matrix())
@@ -71,4 +71,4 @@ def test_weighing_by_whole_covariances_is_worth_it_and_its_covariance_is_honest(
             if name == "whole":
                 chi2.append(found.theta @ np.linalg.solve(found.covariance, found.theta) / 6)
     assert squares["whole"] < 0.5 * squares["alike"]
-    assert np.mean(chi2) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(chi2) == pytest.approx(1.0, abs=0.35)  # of 180 numbers: sigma 0.11

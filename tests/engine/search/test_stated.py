@@ -16,7 +16,7 @@ from aridcal.engine.corrections.effect import Coefficient
 NOISE = 1e-4
 
 
-@pytest.mark.parametrize(("rows", "seed"), [(40, 0), (30, 1)])
+@pytest.mark.parametrize(("rows", "seed"), [(30, 1)])
 def test_the_order_in_which_effects_are_declared_changes_nothing(rows: int, seed: int, tmp_path: Path) -> None:
     """A rail that bends under three gears that err by millimetres, few rows: a curve alone may do most of what the gears do."""
     rng = np.random.default_rng(seed)

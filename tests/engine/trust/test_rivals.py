@@ -189,7 +189,7 @@ def test_causes_are_weighed_alike_beforehand_however_many_places_each_has() -> N
 def test_a_jump_in_a_joint_is_named_where_rows_tell_it_from_one_in_time_and_a_tie_where_they_do_not(
     shuffled: bool,
 ) -> None:
-    said = honesty.rivals(3, "joint", "time", shuffled)
+    said = honesty.rivals(2, "joint", "time", shuffled)
     assert (said["told"], said["false"]) == (1.0, 0.0)
     assert said["plainly"] == float(shuffled)
     assert 0.5 < said["z"] < 1.5

@@ -123,13 +123,13 @@ def test_stated_covariance_of_the_camera_is_that_of_repeated_shots():
     rng = np.random.default_rng(0)
     first = look(T[0], int(square[0]), START, rng)
     chi2, misfit, freedom = [], 0.0, 0.0
-    for _ in range(300):
+    for _ in range(120):
         again = look(T[0], int(square[0]), START, rng)
         found = reduce_shots([again], START)
         off = twists(T, camera(found))[0]
         chi2.append(off @ np.linalg.solve(found.covariance[0], off))
         misfit, freedom = misfit + found.misfit[0], freedom + found.freedom[0]
-    assert np.mean(chi2) / 6 == pytest.approx(1.0, abs=4 * np.sqrt(2 / (6 * 300)))
+    assert np.mean(chi2) / 6 == pytest.approx(1.0, abs=4 * np.sqrt(2 / (6 * 120)))
     assert misfit / freedom == pytest.approx(1.0, abs=4 * np.sqrt(2 / freedom))
     assert len(first.points) >= 4
 

@@ -304,7 +304,7 @@ def test_no_text_ends_in_an_exception() -> None:
         ",",
         "",
     ]
-    for _ in range(1500):
+    for _ in range(600):
         text = str(rng.choice(seeds)).replace("⟦", "").replace("⟧", "").replace("⟨", "").replace("⟩", "")
         for _ in range(int(rng.integers(1, 4))):
             at = int(rng.integers(len(text) + 1))

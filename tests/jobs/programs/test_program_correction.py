@@ -181,7 +181,7 @@ PROGRAMS: dict[str, Callable[[int, np.random.Generator], list[Target]]] = {
 def test_many_targets_at_once_are_corrected_as_one_after_the_other(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Backlash among the effects, so that the side matters from which each joint comes."""
     saved = real(*BACKLASH)
-    targets = PROGRAMS[name](60, np.random.default_rng(11))
+    targets = PROGRAMS[name](30, np.random.default_rng(11))
     together = correct.correct(saved, targets, {}, HOME)
     monkeypatch.setattr(correct, "AT_ONCE", 1)
     apart = correct.correct(saved, targets, {}, HOME)
