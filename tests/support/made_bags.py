@@ -78,8 +78,12 @@ def write_camera_bag(
     info: dict[str, object] | None,
     how: str = "mcap",
     topic: str = "/eye/image_raw",
+    also: str = "",
 ) -> None:
-    """Write joints and a camera; ``encoding`` is one of ROS, or ``jpeg`` or ``png``; images are colours in OpenCV's order."""
+    """Write joints and a camera; ``encoding`` is one of ROS, or ``jpeg`` or ``png``; images are colours in OpenCV's order.
+
+    ``also`` is the topic of a second camera, which sees the same.
+    """
     ros1 = how == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     T = store.types
@@ -104,7 +108,7 @@ def write_camera_bag(
                 [rows, np.zeros((height, 5), np.uint8)]
             )  # rows of a frame may end in bytes that mean nothing
             body = T[kind](header, height, width, encoding, 0, padded.shape[1], padded.reshape(-1))
-        messages.append((time, name, kind, body))
+        messages += [(time, one, kind, body) for one in (name, also) if one]
         if info is not None:
             numbers = {key: np.array(info[key], float) for key in ("d", "k", "r", "p")}
             region = T["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)

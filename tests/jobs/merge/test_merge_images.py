@@ -186,10 +186,9 @@ def test_a_second_run_leaves_no_image_of_the_first_and_keeps_what_is_not_its_own
 
 
 def test_a_bag_with_a_target_and_a_camera_asks_which_is_meant(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    made_bags.write_camera_bag(tmp_path / "run", JOINTS, FILM, "bgr8", info())
-    monkeypatch.setattr("aridcal.jobs.merge.bags._image_topics", lambda path: ["/eye/image_raw", "/other/image_raw"])
+    made_bags.write_camera_bag(tmp_path / "run", JOINTS, FILM, "bgr8", info(), also="/other/image_raw")
     assert main([str(tmp_path / "run"), *ARGUMENTS, str(tmp_path / "a.csv")]) == 2
     assert "1 = /eye/image_raw; 2 = /other/image_raw" in capsys.readouterr().err
     with pytest.raises(aridcal.AridcalError, match="the command `aridcal merge` writes them"):
