@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from test_doty1992 import LENGTHS as OTHER_LENGTHS
 from test_doty1992 import angles, arid, conditions, printed_E, random_q, ranks
 
-from aridcal.engine.robot.doty1992 import E, pose, solve_psi
+from aridcal.jobs.head1992.doty1992 import E, pose, solve_psi
 
 TOP = Path(__file__).resolve().parents[1]
 FOLDER = "images/claims-of-1992"

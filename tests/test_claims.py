@@ -9,7 +9,7 @@ import pytest
 from doty1992_claims import FOLDER, LENGTHS, NOISE, POSES, SQUARES, Claims, claims, page, pictures, strip_readings
 from test_doty1992 import angles, arid, random_q
 
-from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE, error_vector, pose, solve_psi
+from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE, error_vector, pose, solve_psi
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
