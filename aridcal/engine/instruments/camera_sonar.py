@@ -36,6 +36,9 @@ FAULTS_OF_A_SONAR = ("bias", "scale")
 POSE = 6
 """Coordinates of a pose."""
 
+LOWER = [0, 1, 1], [0, 0, 1]
+"""Rows and columns of the lower triangle of a 2 x 2 matrix."""
+
 POSE_STEPS, ROUNDING_STEP = 20, 1e-12
 """Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
 
@@ -193,11 +196,11 @@ def _width(sonars: int, points: int) -> int:
     return _row_type(sonars, points).itemsize // np.dtype(float).itemsize
 
 
-COUNT = (_row_type(0, 0).fields or {})["count"][1] // np.dtype(float).itemsize
-"""Place in a row of how many numbers the shot has read."""
-
-LOWER = [0, 1, 1], [0, 0, 1]
-"""Rows and columns of the lower triangle of a 2 x 2 matrix."""
+def _count_of(observed: np.ndarray) -> np.ndarray:
+    """How many numbers each shot has read, shape (n,), from rows of numbers: its place does not depend on sonars and points."""
+    fields = _row_type(0, 0).fields
+    assert fields is not None
+    return np.asarray(observed[:, fields["count"][1] // np.dtype(float).itemsize])
 
 
 def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
@@ -337,7 +340,7 @@ def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
     missing = np.zeros((len(observed), m), dtype=bool)
-    missing[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
+    missing[:, POSE:] = beyond(_count_of(observed) - POSE, m - POSE)
     return missing
 
 

@@ -17,9 +17,9 @@ class Answers:
 
     def __init__(self) -> None:
         """Start without any."""
-        self._of_states: WeakKeyDictionary[Any, dict[Hashable, Any]] = WeakKeyDictionary()
+        self._of_states: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
-    def of(self, state: object) -> dict[Hashable, Any]:
+    def of(self, state: object) -> dict[Any, Any]:
         """All answers about a state, by their questions."""
         return self._of_states.setdefault(state, {})
 
