@@ -20,7 +20,7 @@ from doty_arm import LENGTHS as OTHER_LENGTHS
 from doty_arm import angles, arid, conditions, printed_E, random_q, ranks
 from matplotlib.figure import Figure
 
-from aridcal.engine.robot.doty1992 import E, pose, solve_psi
+from aridcal.jobs.head1992.doty1992 import E, pose, solve_psi
 
 TOP = Path(__file__).resolve().parents[1]
 FOLDER = "images/claims-of-1992"

@@ -19,7 +19,8 @@ STRONG = 3.0
 1995). What is closer is a tie."""
 
 PRICE = 1.0
-"""[nat] for each number that shapes what effects are believed to be, as Akaike (1974) charges."""
+"""[nat] for each number that shapes what effects are believed to be, or that may as well stay nominal, as Akaike (1974)
+charges."""
 
 PLAINLY = 2.0
 """Standard errors of a check beside a likelihood: one by one, noise passes one in 44."""

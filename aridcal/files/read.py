@@ -170,84 +170,180 @@ def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Sourc
     return Source(table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column)
 
 
+@dataclass(frozen=True)
+class _Cells:
+    """What the cells of a block's N rows say, in SI, in the order of the table.
+
+    Attributes:
+        q: Readings of the joints, shape (N, columns), [rad] or [m].
+        position: Of the target, shape (N, 3), [m]; None where no tracker measures it.
+        quaternion: Of the target, x y z w, shape (N, 4); None where no tracker measures it.
+        std: Declared noise of each row's numbers; None where there is none.
+        observed: Readings of an instrument, shape (N, W); of a tracker the position; NaN where nothing is read.
+        refers: Labels of the things that rows refer to, shape (N, 3).
+        of_things: True where rows refer to any.
+        target: Labels, shape (N,); None where rows have none.
+        station: Labels, shape (N,); None where rows have none.
+        split: Which rows are held out, shape (N,) bool; None where the table does not say.
+        covariates: By name, shape (N,) each.
+    """
+
+    q: np.ndarray
+    position: np.ndarray | None
+    quaternion: np.ndarray | None
+    std: np.ndarray | None
+    observed: np.ndarray
+    refers: np.ndarray
+    of_things: bool
+    target: np.ndarray | None
+    station: np.ndarray | None
+    split: np.ndarray | None
+    covariates: dict[str, np.ndarray]
+
+    @property
+    def time(self) -> np.ndarray | None:
+        """When each row was measured, shape (N,), [s]; None where the table does not say."""
+        return self.covariates.get("time")
+
+    @property
+    def values(self) -> list[np.ndarray | None]:
+        """All numbers but the time: the same pose later is a copy, too."""
+        others = [self.covariates[name] for name in sorted(self.covariates) if name != "time"]
+        return [self.q, self.observed, self.quaternion, self.std, *others]
+
+    @property
+    def labels(self) -> list[np.ndarray | None]:
+        """All labels."""
+        return [self.station, self.target, *(self.refers.T if self.of_things else ())]
+
+
+@dataclass(frozen=True)
+class _Order:
+    """Two orders of the rows of a block.
+
+    Attributes:
+        canonical: By time and content, whatever the order of the table, shape (N,).
+        sequence: In which they were measured: by time, else as they stand in the table, shape (N,).
+    """
+
+    canonical: np.ndarray
+    sequence: np.ndarray
+
+
 def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
     """All rows of a block, the numbers of its usable rows in their final order, and the noise of these."""
-    campaign, kinds, source = request.campaign, request.kinds, _source(request, number, tables)
-    table, settings = source.table, source.settings
-    q = source.joints() if request.robot is None else np.zeros((len(table), len(kinds)))
-    of_target = request.require_pose and settings.traits.tracked
-    position, quaternion, std = np.full((len(table), 3), np.nan), None, None
-    if of_target:
-        if settings.traits.oriented:
-            position, quaternion = source.pose()
-            source.refuse_second_orientation()
-        else:
-            position = source.position()
-        std = source.std()
+    source = _source(request, number, tables)
+    cells = _cells(source, request)
+    if request.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
+        source.note_unknown_ignored()
+    _unroll(source, cells.covariates)
+    order = _order(source, cells)
+    refuse_copies(source, cells.values, cells.labels, order.sequence)
+    observed, repeats = _checked(source, cells, order)
+    rows = _dataset(source, request, cells, observed, repeats)
+    chosen = order.canonical[source.usable[order.canonical]]
+    numbers = sum(channel.size for channel in rows.channels)
+    std = None if cells.std is None else cells.std[chosen, :numbers]
+    return rows, chosen, RowNoise(std, absolute=source.settings.noise.rows == "absolute")
+
+
+def _cells(source: Source, request: _Request) -> _Cells:
+    """Read every cell that is needed, column by column: the first column that cannot be used is the one that is named."""
+    campaign, settings, n = request.campaign, source.settings, len(source.table)
+    q = source.joints() if request.robot is None else np.zeros((n, len(request.kinds)))
+    tracked = request.require_pose and settings.traits.tracked
+    position, quaternion, std = _of_target(source) if tracked else (None, None, None)
     target = source.labels(TARGET, filled=True) if TARGET in settings.own_columns else None
     if target is None and settings.target is not None:
-        target = np.full(len(table), settings.target)
-    read_here = request.require_pose and not of_target
-    observed = _observed(source) if read_here else position
-    nothing = untold(len(table))
-    refers = _refers(source, request) if read_here else nothing.refers
-    if read_here:
-        camera = refers[:, 0] if settings.traits.images else None
-        refuse_impossible_readings(source, observed, campaign.instruments.cameras, camera)
+        target = np.full(n, settings.target)
+    of_things = request.require_pose and not tracked
+    observed, refers = np.full((n, 3), np.nan) if position is None else position, untold(n).refers
+    if of_things:
+        observed, refers = _of_things(source, request)
     if request.robot is not None:
         paths = routes_of(request.declarations, settings.kind, refers, target, request.robot.tip, settings.links)
         q = source.joints(needed_columns(request.robot, paths))
-    by_station = campaign.question.by_station and (of_target or len(campaign.blocks) == 1)
+    by_station = campaign.question.by_station and (tracked or len(campaign.blocks) == 1)
     station = source.labels("station", needed="station" if by_station else "")
-    split = source.split()
-    covariates = source.covariates()
-    if request.own_files:  # other tables, another day's for instance, need not have what is ignored anyway
-        source.note_unknown_ignored()
-    _unroll(source, covariates)
-    time, others = covariates.get("time"), [covariates[name] for name in sorted(covariates) if name != "time"]
-    held = [q, observed, quaternion, std, *others]
-    labels = [station, target, *(refers.T if read_here else ())]
-    words = [None if label is None else np.unique(label, return_inverse=True)[1] for label in (*labels, split)]
-    canonical = by_content([time, *held, *words])
-    timed = time is not None and bool(np.isfinite(time[source.usable]).all())
-    sequence = canonical if timed else np.arange(len(table))
-    refuse_copies(source, held, labels, sequence)  # without the time: the same pose later is a copy, too
+    split, covariates = source.split(), source.covariates()
+    return _Cells(q, position, quaternion, std, observed, refers, of_things, target, station, split, covariates)
+
+
+def _of_target(source: Source) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """Position, quaternion and declared noise of a target that a tracker measures."""
+    if source.settings.traits.oriented:
+        position, quaternion = source.pose()
+        source.refuse_second_orientation()
+        return position, quaternion, source.std()
+    return source.position(), None, source.std()
+
+
+def _of_things(source: Source, request: _Request) -> tuple[np.ndarray, np.ndarray]:
+    """Readings of an instrument, and what each row refers to."""
+    observed, refers = _observed(source), _refers(source, request)
+    camera = refers[:, 0] if source.settings.traits.images else None
+    refuse_impossible_readings(source, observed, request.campaign.instruments.cameras, camera)
+    return observed, refers
+
+
+def _order(source: Source, cells: _Cells) -> _Order:
+    """The orders of rows that the checks and the data set need."""
+    words = [
+        None if label is None else np.unique(label, return_inverse=True)[1] for label in (*cells.labels, cells.split)
+    ]
+    canonical = by_content([cells.time, *cells.values, *words])
+    timed = cells.time is not None and bool(np.isfinite(cells.time[source.usable]).all())
+    return _Order(canonical, canonical if timed else np.arange(len(source.table)))
+
+
+def _checked(source: Source, cells: _Cells, order: _Order) -> tuple[np.ndarray, Repeats]:
+    """What rows measure as the data set has it, and which measurements repeat earlier ones; configurations are not counted yet.
+
+    Raises:
+        MeasurementError: no row is usable, or they are not in the stated units.
+    """
     if not source.usable.any():
         raise nothing_usable(source)
-    check_units(source, q, position if of_target else None)
-    check_distances(source, observed)
-    note_limits(source, q)
-    stale = doubtful = np.zeros(len(table), dtype=bool)
-    if of_target:
-        read = [position] if quaternion is None else [position, quaternion]
-        stale, doubtful = stale_rows(source, q, np.hstack(read), sequence, noted=quaternion is not None)
-        observed = pose_numbers(position, None if quaternion is None else turned(quaternion).as_matrix())
-    chosen = canonical[source.usable[canonical]]
-    rows = Dataset(
+    check_units(source, cells.q, cells.position)
+    check_distances(source, cells.observed)
+    note_limits(source, cells.q)
+    none = np.zeros(len(source.table), dtype=bool)
+    uncounted = np.zeros(len(none), dtype=int)
+    if cells.position is None:
+        return cells.observed, Repeats(uncounted, none, none)
+    read = [cells.position] if cells.quaternion is None else [cells.position, cells.quaternion]
+    oriented = cells.quaternion is not None
+    stale, doubtful = stale_rows(source, cells.q, np.hstack(read), order.sequence, noted=oriented)
+    rotation = None if cells.quaternion is None else turned(cells.quaternion).as_matrix()
+    return pose_numbers(cells.position, rotation), Repeats(uncounted, stale, doubtful)
+
+
+def _dataset(source: Source, request: _Request, cells: _Cells, observed: np.ndarray, repeats: Repeats) -> Dataset:
+    """All rows of a block, in the order of the table."""
+    table, n = source.table, len(source.table)
+    nothing = untold(n)
+    return Dataset(
         names=request.readings,
-        kinds=kinds,
-        readings=q,
-        blocks=(_block_of(settings),),
-        observed=observed if request.require_pose else np.zeros((len(table), 0)),
+        kinds=request.kinds,
+        readings=cells.q,
+        blocks=(_block_of(source.settings),),
+        observed=observed if request.require_pose else np.zeros((n, 0)),
         relative=None,
-        covariates=covariates,
-        test=np.zeros(len(table), dtype=bool) if split is None else split,
-        labels=Labels(nothing.block, refers, station, target if request.require_pose else None),
-        repeats=Repeats(np.zeros(len(table), dtype=int), stale, doubtful),
+        covariates=cells.covariates,
+        test=np.zeros(n, dtype=bool) if cells.split is None else cells.split,
+        labels=Labels(nothing.block, cells.refers, cells.station, cells.target if request.require_pose else None),
+        repeats=repeats,
         origin=Origin(
             file=table.file,
             line=table.line,
-            order=_counted_on(table) if request.fitted else np.full(len(table), np.inf),
+            order=_counted_on(table) if request.fitted else np.full(n, np.inf),
             files=table.files,
             sha256=table.sha256,
             refused=source.refusals(),
             notices=tuple(source.notices),
-            split_given=split is not None,
+            split_given=cells.split is not None,
         ),
     )
-    numbers = sum(channel.size for channel in rows.channels)
-    noise = RowNoise(None if std is None else std[chosen, :numbers], absolute=settings.noise.rows == "absolute")
-    return rows, chosen, noise
 
 
 def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE
+from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE
 from aridcal.jobs.head1992.square import SIDE, STRIP_SQUARES
 
 STATIONS = (2.0, 8.5, 15.0)  # along the rail, [m]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from html import escape
 from html.parser import HTMLParser
@@ -23,6 +24,7 @@ from aridcal.engine.corrections.catalogue import KINDS, Barred
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.doty import doty_links
+from aridcal.engine.rows.remarks import Remark
 from aridcal.engine.search.noise_tests import Clue
 from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
 from aridcal.engine.trust.halves import Halves
@@ -34,10 +36,12 @@ from aridcal.jobs.calibrate.outcome import STATISTICS, Outcome, Verification, er
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.pages.drawing.html import join
+from aridcal.pages.report import trust_checks
 from aridcal.pages.report.data_section import data
-from aridcal.pages.report.first_screen import checks, summary
+from aridcal.pages.report.first_screen import summary
 from aridcal.pages.report.fit_section import fits
 from aridcal.pages.report.page import page, write_report
+from aridcal.pages.report.trust_checks import checks
 from aridcal.system.wording import number
 
 ANSWERS = ["data", "separable", "enough", "fits", "depends", "remains", "iso", "parameters", "use"]
@@ -347,6 +351,67 @@ def test_the_verdict_is_said_in_words(outcome: Outcome, verdict: str, words: str
     first = join(list(summary(replace(outcome, verdict=Verdict(verdict, 0.42, ("rows differ",))))))
     assert words in first
     assert "42 % of the remaining variance" in first
+
+
+def without_held_out_rows(outcome: Outcome) -> Outcome:
+    return replace(outcome, measurements=replace(outcome.measurements, test=np.zeros(124, dtype=bool)))
+
+
+def held_out_rows_flagged(outcome: Outcome) -> Outcome:
+    return replace(outcome, outlier=outcome.outlier | outcome.measurements.test)
+
+
+def four_flagged(outcome: Outcome) -> Outcome:
+    return replace(outcome, outlier=outcome.outlier | (np.arange(124) < 4))
+
+
+def four_refused(outcome: Outcome) -> Outcome:
+    why = Remark("rows.csv", 3, "x", "", "is empty")
+    return replace(outcome, measurements=outcome.measurements.with_origin(refused=4 * (why,)))
+
+
+def one_start_led_elsewhere(outcome: Outcome) -> Outcome:
+    fit = outcome.stage("geometric").fit
+    elsewhere = replace(fit, convergence=replace(fit.convergence, agreed=1))
+    stages = [replace(s, fit=elsewhere) if s.name == "geometric" else s for s in outcome.stages]
+    return replace(outcome, stages=tuple(stages))
+
+
+def held_out_rows_further_off(outcome: Outcome) -> Outcome:
+    off = np.where(outcome.measurements.test, 2.0, 1.0)[:, None]
+    return replace(outcome, stages=tuple(replace(s, residual=s.residual * off) for s in outcome.stages))
+
+
+def joint_hardly_moved(outcome: Outcome) -> Outcome:
+    rows = outcome.measurements
+    return replace(outcome, measurements=replace(rows, readings=rows.readings * [1.0, 1.0, 0.01, 1.0, 1.0, 1.0]))
+
+
+def test_a_sound_calibration_passes_every_rule_that_says_anything(outcome: Outcome) -> None:
+    assert all(good for good, _ in checks(outcome))
+
+
+@pytest.mark.parametrize(
+    ("rule", "faulty"),
+    [
+        (trust_checks.held_out_rows, without_held_out_rows),
+        (trust_checks.held_out_rows, held_out_rows_flagged),
+        (trust_checks.outliers, four_flagged),
+        (trust_checks.refused_rows, four_refused),
+        (trust_checks.minimum, one_start_led_elsewhere),
+        (trust_checks.held_out_error, held_out_rows_further_off),
+        (trust_checks.joint_travel, joint_hardly_moved),
+    ],
+)
+def test_a_fault_is_told_by_its_own_rule_and_marked_on_the_first_screen(
+    outcome: Outcome,
+    rule: Callable[[Outcome], trust_checks.Checks],
+    faulty: Callable[[Outcome], Outcome],
+) -> None:
+    told = [words for good, words in rule(faulty(outcome)) if not good]
+    assert len(told) == 1
+    marked = html.fromstring(join(list(summary(faulty(outcome))))).xpath("//ul[@class='checks']/li[@class='look']")
+    assert f"!{told[0]}" in [line.text_content() for line in marked]
 
 
 def test_halves_that_disagree_are_held_against_the_result(outcome: Outcome) -> None:

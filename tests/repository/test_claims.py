@@ -8,7 +8,7 @@ from doty1992_claims import FOLDER, LENGTHS, NOISE, POSES, SQUARES, Claims, clai
 from doty_arm import angles, arid, random_q
 from repository import ROOT
 
-from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE, error_vector, pose, solve_psi
+from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE, error_vector, pose, solve_psi
 
 DOCS = ROOT / "docs"
 

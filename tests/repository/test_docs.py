@@ -45,7 +45,6 @@ OTHER_DECIDERS = (
     "engine/rows/split",
     "engine/rows/repeats",
 )
-GEOMETRY = ("engine/robot/doty1992",)
 NOT_DECIDING = ("Work: ", "Drawn: ")
 """How the reason of a constant begins that bounds the work, or what is drawn; any other has its row in the page."""
 
@@ -98,7 +97,7 @@ def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
 def deciding() -> dict[str, str]:
     """Modules whose constants decide what is found or said: name in the page to place in the package."""
     inside = {f"{room}/{path.stem}" for room in DECIDING_ROOMS for path in (ROOT / "aridcal" / room).glob("[!_]*.py")}
-    modules = {*inside, *OTHER_DECIDERS} - {*GEOMETRY}
+    modules = {*inside, *OTHER_DECIDERS}
     assert len({module.rpartition("/")[2] for module in modules}) == len(modules)
     return {module.rpartition("/")[2]: module for module in sorted(modules)}
 

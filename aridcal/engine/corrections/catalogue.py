@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
+from aridcal.engine.corrections.camera_sonar_kinds import CAMERA_SONAR_KINDS
 from aridcal.engine.corrections.condition_kinds import CONDITION_KINDS
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
 from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed
-from aridcal.engine.corrections.head_kinds import HEAD_KINDS
 from aridcal.engine.corrections.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.engine.corrections.joint_kinds import JOINT_KINDS
 from aridcal.engine.corrections.labels import MOST_LABELS, STATION
@@ -19,7 +19,7 @@ from aridcal.engine.corrections.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.engine.corrections.unknown_kind import UNKNOWN
 from aridcal.system.errors import CampaignError, nearest
 
-_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
+_ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *CAMERA_SONAR_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -11,7 +11,14 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect_kind import Declaration
 from aridcal.engine.corrections.loads import Payload
+from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
+from aridcal.engine.rows.dataset import Dataset
+
+
+def no_starts(fit: Fit, rows: Dataset) -> list[np.ndarray]:
+    """No starts of a fit beside its own."""
+    return []
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class Question:
         effects: Effects that the campaign declares.
         sought: Kinds of effects that the search may add to them.
         source: The file of the campaign, for messages.
+        starts: Further starts that a fit of K constants to some rows is checked from, shape (K,) each: an arm of a known build
+            may have a closed form.
     """
 
     world_base: EndFrame = EndFrame()
@@ -56,6 +65,7 @@ class Question:
     effects: tuple[Declaration, ...] = ()
     sought: tuple[str, ...] = ()
     source: Path = Path()
+    starts: Callable[[Fit, Dataset], list[np.ndarray]] = no_starts
 
     @property
     def by_station(self) -> bool:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.fit.closed_form import closed_form_starts
 from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, has_world, measures_target
 from aridcal.engine.fit.flags import robust_sigma
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable, minimise, thin
@@ -97,7 +96,7 @@ def fit_geometry(
         fit_problem = problem(centred.with_coefficients(candidates), train, progress)
         geometric = fit_identifiable(fit_problem, range(len(candidates)), _lengths_and_angles(candidates, len(frames)))
     _refuse_strangers(fit_problem, geometric.model, geometric.theta, unscaled(geometric.residual, train.relative))
-    return Geometry(nominal, with_restarts(geometric, train, progress) if candidates else nominal)
+    return Geometry(nominal, with_restarts(geometric, train, question.starts, progress) if candidates else nominal)
 
 
 def _lengths_and_angles(candidates: Sequence[Coefficient], frames: int) -> tuple[list[int], list[int]]:
@@ -223,8 +222,10 @@ def _frame_of_each_row(frame: EndFrame, train: Dataset, labels: tuple[str, ...])
     return np.array([number.get(s, 0) for s in train.labels.station.tolist()], dtype=int)
 
 
-def with_restarts(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
-    """Solve again on some of the rows from other places, and note how many lead to the same minimum."""
+def with_restarts(
+    fit: Fit, train: Dataset, starts: Callable[[Fit, Dataset], list[np.ndarray]], progress: Progress = SILENT
+) -> Fit:
+    """Solve again on some of the rows from other places, ``starts`` among them, and note how many lead to the same minimum."""
     some = thin(rows_of_data(fit.model, train), max(RESTART_ROWS, 4 * len(fit.theta)))
     part = problem(fit.model, train.select(some), progress)
     weight = fit.weight[some]
@@ -235,7 +236,7 @@ def with_restarts(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     reach[fit.model.sizes != 1.0] = 0.0  # a lens is not started from elsewhere
     rng = np.random.default_rng(0)
     others = [fit.theta + reach * rng.uniform(-1, 1, len(reach)) for _ in range(AROUND)]
-    others += closed_form_starts(fit, part.data)
+    others += starts(fit, part.data)
     tolerance = SAME * spread(reference.sigma, train.channels)
     agreed = 0
     for theta in progress.over(others, "other starts"):

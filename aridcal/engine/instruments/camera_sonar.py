@@ -36,12 +36,8 @@ FAULTS_OF_A_SONAR = ("bias", "scale")
 POSE = 6
 """Coordinates of a pose."""
 
-WIDTH_OF_POSES, COUNT = 25, 24
-"""Numbers of a row before its ranges: T_world_square and a first T_camera_square, their upper three rows, and the last of them,
-how many numbers the shot has read."""
-
-NUMBERS_OF_A_MARK = 8
-"""Numbers of an image point: its place on the square (3), its pixel (2), and the lower triangle that divides by its noise."""
+LOWER = [0, 1, 1], [0, 0, 1]
+"""Rows and columns of the lower triangle of a 2 x 2 matrix."""
 
 POSE_STEPS, ROUNDING_STEP = 20, 1e-12
 """Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
@@ -177,53 +173,91 @@ class Shots:
     basis: np.ndarray
 
 
+def _row_type(sonars: int, points: int) -> np.dtype:
+    """Fields of a row: S sonars, and up to so many image points. All are floats, so that a row is an array of numbers, too.
+
+    Of an image point ``whiten`` is the lower triangle that divides by its noise; all of it is NaN beyond those that a shot has.
+    """
+    mark = [("point", float, (3,)), ("pixel", float, (2,)), ("whiten", float, (3,))]
+    return np.dtype(
+        [
+            ("T_world_square", float, (3, 4)),
+            ("start", float, (3, 4)),
+            ("count", float),
+            ("ranges", float, (sonars,)),
+            ("marks", mark, (points,)),
+            ("basis", float, (sonars + 2 * points, len(INTRINSICS) + sonars)),
+        ]
+    )
+
+
+def _width(sonars: int, points: int) -> int:
+    """Numbers of a row."""
+    return _row_type(sonars, points).itemsize // np.dtype(float).itemsize
+
+
+def _count_of(observed: np.ndarray) -> np.ndarray:
+    """How many numbers each shot has read, shape (n,), from rows of numbers: its place does not depend on sonars and points."""
+    fields = _row_type(0, 0).fields
+    assert fields is not None
+    return np.asarray(observed[:, fields["count"][1] // np.dtype(float).itemsize])
+
+
 def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
     """What n shots of a head read, as declared, as rows of numbers, shape (n, W): see :func:`unpacked`."""
-    n, S = len(shots), len(head.positions)
-    size = len(INTRINSICS) + S
-    enough = -(-(POSE + size - S) // 2)  # for a basis of pose and trace
-    count = max(enough, *(len(shot.points) for shot in shots))
-    poses = [
-        [shot.T_world_square[:3].ravel(), shot.T_camera_square[:3].ravel(), [S + 2 * len(shot.points)], shot.ranges]
-        for shot in shots
-    ]
-    marks = [_marks(shot, count).ravel() for shot in shots]
-    readings = np.array([np.concatenate([*parts, numbers]) for parts, numbers in zip(poses, marks, strict=True)])
-    rows = np.hstack([readings, np.zeros((n, (S + 2 * count) * size))])
-    _, _, B, D = _at_best(unpacked(rows, S), head)
-    Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :size]], axis=2))
+    sonars, trace = len(head.positions), len(INTRINSICS) + len(head.positions)
+    enough = -(-(POSE + trace - sonars) // 2)  # for a basis of pose and trace
+    rows = np.zeros(len(shots), _row_type(sonars, max(enough, *(len(shot.points) for shot in shots))))
+    rows["T_world_square"] = [shot.T_world_square[:3] for shot in shots]
+    rows["start"] = [shot.T_camera_square[:3] for shot in shots]
+    rows["count"] = [sonars + 2 * len(shot.points) for shot in shots]
+    rows["ranges"] = [shot.ranges for shot in shots]
+    for marks, shot in zip(rows["marks"], shots, strict=True):
+        for name, values in (("point", shot.points), ("pixel", shot.pixels), ("whiten", _whitening(shot.covariances))):
+            marks[name] = np.nan
+            marks[name][: len(values)] = values
+    rows["basis"] = _trace_basis(_shots(rows), head)
+    return rows.view(float).reshape(len(rows), -1)
+
+
+def _whitening(covariances: np.ndarray) -> np.ndarray:
+    """What divides image points by their noise, covariances of shape (M, 2, 2), as lower triangles, shape (M, 3)."""
+    rows, columns = LOWER
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances))[:, rows, columns])
+
+
+def _trace_basis(shots: Shots, head: Head) -> np.ndarray:
+    """U of each shot, shape (n, S + 2 M, 9 + S), for the head as declared."""
+    _, _, B, D = _at_best(shots, head)
+    trace = len(INTRINSICS) + len(head.positions)  # bias and scale of a sonar are one within a shot
+    Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :trace]], axis=2))
     sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
-    rows[:, readings.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
-    return rows
-
-
-def _marks(shot: HeadShot, count: int) -> np.ndarray:
-    """Numbers of image points, shape (count, 8): NaN beyond those that a shot has."""
-    numbers = np.full((count, NUMBERS_OF_A_MARK), np.nan)
-    lower = np.linalg.inv(np.linalg.cholesky(shot.covariances))
-    numbers[: len(lower)] = np.hstack([shot.points, shot.pixels, lower[:, [0, 1, 1], [0, 0, 1]]])
-    return numbers
+    return np.asarray((Q * sign[:, None])[:, :, POSE:])
 
 
 def unpacked(observed: np.ndarray, sonars: int) -> Shots:
     """Rows of numbers as shots: two poses and how many numbers a shot has, ranges, image points, and the basis of its trace."""
-    n, size = len(observed), len(INTRINSICS) + sonars
-    count = (observed.shape[1] - WIDTH_OF_POSES - sonars - sonars * size) // (NUMBERS_OF_A_MARK + 2 * size)
-    ends = np.cumsum([12, 12, 1, sonars, NUMBERS_OF_A_MARK * count])
-    world, start, numbers, ranges, marks, basis = np.split(observed, ends, axis=1)
-    marks = marks.reshape(n, count, NUMBERS_OF_A_MARK)
-    marks = np.where(np.isnan(marks[:, :, :1]), 0.0, marks)
-    whiten = np.zeros((n, count, 2, 2))
-    whiten[..., [0, 1, 1], [0, 0, 1]] = marks[..., 5:]
+    empty, one = (_width(sonars, points) for points in (0, 1))
+    points = (observed.shape[1] - empty) // (one - empty)
+    return _shots(np.ascontiguousarray(observed).view(_row_type(sonars, points))[:, 0])
+
+
+def _shots(rows: np.ndarray) -> Shots:
+    """Shots from rows by their fields, shape (n,); image points that a shot does not have are zero."""
+    marks = rows["marks"]
+    there = ~np.isnan(marks["point"][..., :1])
+    point, pixel, lower = (np.where(there, marks[name], 0.0) for name in ("point", "pixel", "whiten"))
+    whiten = np.zeros((*marks.shape, 2, 2))
+    whiten[..., LOWER[0], LOWER[1]] = lower
     return Shots(
-        T_world_square=world.reshape(n, 3, 4),
-        start=start.reshape(n, 3, 4),
-        ranges=ranges,
-        points=marks[..., :3],
-        pixels=marks[..., 3:5],
+        T_world_square=rows["T_world_square"],
+        start=rows["start"],
+        ranges=rows["ranges"],
+        points=point,
+        pixels=pixel,
         whiten=whiten,
-        count=numbers[:, 0],
-        basis=basis.reshape(n, sonars + 2 * count, size),
+        count=rows["count"],
+        basis=rows["basis"],
     )
 
 
@@ -306,7 +340,7 @@ def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
     missing = np.zeros((len(observed), m), dtype=bool)
-    missing[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
+    missing[:, POSE:] = beyond(_count_of(observed) - POSE, m - POSE)
     return missing
 
 

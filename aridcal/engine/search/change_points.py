@@ -90,7 +90,7 @@ def _on_both_sides(members: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 def best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:
     """Templates with their step at the row where it explains most; those without a possible row are left out."""
-    return state.once(("steps", *templates), lambda: _best_steps(model, state, templates))
+    return model.answers.once(state, ("steps", *templates), lambda: _best_steps(model, state, templates))
 
 
 def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -> list[Effect]:

@@ -13,6 +13,7 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.smooth import samples_root, smooth_precision
 from aridcal.engine.fit.elimination import Projector
 from aridcal.engine.instruments.channels import Channels, columns
+from aridcal.engine.search.answers import Answers
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.products import Flat, Layout, Products, Source
 
@@ -85,6 +86,11 @@ class LinearModel:
     def products(self) -> Products:
         """Sums of products of its columns, each computed at its first use."""
         return Products(self.A, self.r, self._layout, self._source)
+
+    @cached_property
+    def answers(self) -> Answers:
+        """What was worked out of states of this model."""
+        return Answers()
 
     @cached_property
     def _layout(self) -> Layout:

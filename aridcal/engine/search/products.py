@@ -14,6 +14,7 @@ Functions of one covariate on knots, tried as motions of many slots, are a :clas
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, pairwise
@@ -148,7 +149,10 @@ class Chunk:
 
 
 class Products:
-    """Cache of products of one linearised model's columns."""
+    """Cache of products of one linearised model's columns: what it gives depends on the effects and their modes alone.
+
+    Whatever takes a whole design keeps what is of its members. So no order of calls matters but for what is computed again.
+    """
 
     def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
         """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
@@ -169,19 +173,38 @@ class Products:
         self.squares = self._folds(self.r, self.r)
 
     def made_by(self, source: Source) -> Products:
-        """These products, columns now made by a model that has further bases."""
-        self._source = source
-        self._local.clear()  # keys are numbers of functions, which are others there
-        self._moved.clear()
-        self._moving.clear()
-        return self
+        """These products, further columns made by a model that has further bases, after those of the model before."""
+        more = copy(self)  # what is kept by effects and slots serves both
+        more._source = source
+        more._local = dict(self._local)  # a number beyond this model's functions is of another one in each that follows
+        return more
 
     def flat(self, effects: Sequence[Effect]) -> Flat:
         """Columns of effects side by side, in the order of the folds."""
         return self._source.make(effects, None)
 
-    def now_in_the_model(self, members: Sequence[Member]) -> None:
-        """Note the members of the present model, and forget those used longest ago if there is no room for all."""
+    def sums(self, members: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
+        """A'A and A'r of all rows for a design's P unknowns.
+
+        Args:
+            members: The design.
+            together: Of the folds together, shape (C, P, P) and (C, P); otherwise of each of F, (F, C, P, P) and (F, C, P).
+        """
+        self._keep(members)
+
+        def summed(of_folds: np.ndarray) -> np.ndarray:
+            return np.asarray(of_folds.sum(axis=0)) if together else of_folds
+
+        Ar = np.concatenate([summed(self.pull(effect)) @ modes for effect, modes in members], axis=-1)
+        AA = np.empty((*Ar.shape, Ar.shape[-1]))
+        for k, place in enumerate(places_of([modes.shape[1] for _, modes in members])):
+            row = summed(np.concatenate([self.in_modes(members[k], other) for other in members[: k + 1]], axis=-1))
+            AA[..., place, : place.stop] = row
+            AA[..., : place.stop, place] = np.swapaxes(row, -1, -2)
+        return AA, Ar
+
+    def _keep(self, members: Sequence[Member]) -> None:
+        """Keep what is of a design in use, and forget of the effects used longest ago if there is no room for all."""
         for effect, _ in members:
             if effect is not None:
                 self._known[effect] = self._known.pop(effect, None)  # now the last
@@ -374,6 +397,7 @@ class Products:
 
     def across(self, chunk: Chunk, members: Sequence[Member]) -> list[np.ndarray]:
         """Products of a chunk's columns with those of each member of the design, shape (C, w, d) each."""
+        self._keep(members)
         products = {effect: chunk.across.get(effect) for effect, _ in members}
         new = [effect for effect, product in products.items() if product is None]
         X = (chunk.columns or self._source.make(chunk.effects, chunk.rows)) if new and chunk.grid is None else ()
@@ -449,5 +473,10 @@ def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
 
 def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
     """Effects with the places of their columns, side by side."""
-    ends = np.cumsum([0, *(len(e.coefficients) for e in effects)]).tolist()
-    return [(e, slice(low, high)) for e, low, high in zip(effects, ends[:-1], ends[1:], strict=True)]
+    return list(zip(effects, places_of([len(e.coefficients) for e in effects]), strict=True))
+
+
+def places_of(sizes: Sequence[int]) -> list[slice]:
+    """Places of parts with these numbers of columns, one after the other."""
+    ends = np.cumsum([0, *sizes]).tolist()
+    return [slice(low, high) for low, high in pairwise(ends)]

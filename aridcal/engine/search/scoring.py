@@ -73,8 +73,8 @@ class Judgement:
 
 def refine(state: State, effect: Effect, rough: Score) -> Score:
     """A rough score refined: the noise of each channel estimated for itself, with the candidate in the model."""
-    question = effect, rough.gain, rough.tau, rough.kernel
-    return state.once(question, lambda: _refined(state, effect, rough))
+    question = "refined", effect, rough.gain, rough.tau, rough.kernel
+    return state.model.answers.once(state, question, lambda: _refined(state, effect, rough))
 
 
 def score_of(state: State, effect: Effect) -> Score:

@@ -34,14 +34,15 @@ Sums = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def score_all(model: LinearModel, effects: Sequence[Effect], state: State, progress: Progress = SILENT) -> list[Score]:
     """Rough scores of candidates against a solved state, each by itself, its columns projected off the model's."""
-    new = [e for e in effects if e not in state.scored]
+    scored = model.answers.of(state)
+    new = [e for e in effects if e not in scored]
     sums = {
         effect: (M, s[columns], raw[columns])
         for placed_there, _, s, raw in _project(model, new, state, progress)
         for effect, columns, M in placed_there
     }
-    state.scored.update(_score(sums, state, state.solution.beta))
-    return [state.scored[e] for e in effects]
+    scored.update(_score(sums, state, state.solution.beta))
+    return [scored[e] for e in effects]
 
 
 def score_without(
@@ -84,7 +85,6 @@ def _project(
 ) -> Iterator[tuple[list[tuple[Effect, slice, np.ndarray]], np.ndarray, np.ndarray, np.ndarray]]:
     """Chunk by chunk: candidates, their columns in it and their M; then T, s and squared lengths of all w columns."""
     products, beta, weight = model.products, state.solution.beta, state.solution.sigma**-2.0
-    products.now_in_the_model(state.members)
     candidates, done = set(effects), 0
     prepared: list[Effect] = []
     others: list[Effect] = []

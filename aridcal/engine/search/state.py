@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, TypeVar
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -20,17 +19,17 @@ from aridcal.engine.instruments.channels import Channels, flat, spread
 from aridcal.engine.numerics import RIDGE, ROUNDS
 from aridcal.engine.search.evidence import Score, Solution, noise_left, solve
 from aridcal.engine.search.linear_model import Active, LinearModel
-from aridcal.engine.search.products import Chunk, Member, Products
+from aridcal.engine.search.products import Chunk, Member, places_of
 
 FAINT = 0.02
 """Work: A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
 
-T = TypeVar("T")
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class State:
     """A solved set of effects: the constants and P - K modes of effects, n rows in use.
+
+    What is worked out of it is kept by its model: :attr:`~aridcal.engine.search.linear_model.LinearModel.answers`.
 
     Attributes:
         model: The linearised model.
@@ -42,8 +41,6 @@ class State:
         used: Rows in use, those that are no outliers, shape (N,) bool.
         unused: The other rows' places in the order of the folds, shape (N - n,).
         extra: Columns of the other rows, one array for each channel, shape ((N - n) size, P).
-        scored: Cache of rough scores, by candidate.
-        answers: Cache of other results; see :meth:`once`.
     """
 
     model: LinearModel
@@ -55,15 +52,6 @@ class State:
     used: np.ndarray
     unused: np.ndarray
     extra: tuple[np.ndarray, ...]
-    scored: dict[Effect, Score] = field(default_factory=dict, init=False, repr=False, compare=False)
-    answers: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-
-    def once(self, question: Hashable, answer: Callable[[], T]) -> T:
-        """The answer to a question about this state, computed at its first call alone."""
-        if question not in self.answers:
-            self.answers[question] = answer()
-        value: T = self.answers[question]
-        return value
 
     @property
     def channels(self) -> Channels:
@@ -99,7 +87,7 @@ class State:
     @cached_property
     def of_folds(self) -> tuple[np.ndarray, np.ndarray]:
         """A'A and A'r over the rows in use of each of F folds, shape (F, C, P, P) and (F, C, P)."""
-        AA, Ar = _sums_of_folds(self.model.products, self.members, together=False)
+        AA, Ar = self.model.products.sums(self.members, together=False)
         AA -= self.unused_products(self.extra, self.extra)
         Ar -= self.unused_products(self.extra, self.right_of_unused)
         return AA, Ar
@@ -120,7 +108,7 @@ class State:
     @property
     def places(self) -> list[slice]:
         """Places of each member's unknowns among the P."""
-        return _places([modes.shape[1] for _, modes in self.members])
+        return places_of([modes.shape[1] for _, modes in self.members])
 
     def in_modes(self, blocks: Sequence[np.ndarray]) -> np.ndarray:
         """Products with the columns of each member's coefficients, (..., w, d), as products with all unknowns', (..., w, P)."""
@@ -142,7 +130,7 @@ class State:
         every = members(self.model, self.active if candidate is None else (*self.active, candidate))
         numbers = [slice(low * channel.size, high * channel.size) for channel in self.channels]
         fitted = [np.zeros((part.stop - part.start, beta.shape[1])) for part in numbers]
-        for (effect, modes), place in zip(every, _places([modes.shape[1] for _, modes in every]), strict=True):
+        for (effect, modes), place in zip(every, places_of([modes.shape[1] for _, modes in every]), strict=True):
             coefficients = modes @ beta[place]
             for values, x, part in zip(fitted, products.columns(effect), numbers, strict=True):
                 values += x[part] @ coefficients
@@ -219,7 +207,6 @@ def solve_state(
         in_use: Rows to begin with, shape (N,) bool.
         fixed: Keep to these rows: models that are compared must be solved on the same rows.
     """
-    model.products.now_in_the_model(members(model, active))
     every = _of_all_rows(model, active)
     precision = block_diag(model.gauge, *(a.precision for a in active))
     sound = in_use
@@ -238,7 +225,7 @@ def solve_state(
 def _of_all_rows(model: LinearModel, active: Sequence[Active]) -> NormalEquations:
     """Sums of a set of effects over all rows, whether in use or not."""
     products = model.products
-    AA, Ar = _sums_of_folds(products, members(model, active), together=True)
+    AA, Ar = products.sums(members(model, active), together=True)
     sizes = np.array([channel.size for channel in model.channels])
     return NormalEquations(AA, Ar, products.squares.sum(axis=0), model.present.sum(axis=0) * sizes)
 
@@ -265,27 +252,6 @@ def columns_at(model: LinearModel, every: Sequence[Member], places: np.ndarray) 
         [x[rows] @ modes for x, rows in zip(products.columns(effect), numbers, strict=True)] for effect, modes in every
     ]
     return tuple(np.hstack(part) for part in zip(*parts, strict=True))
-
-
-def _places(sizes: Sequence[int]) -> list[slice]:
-    """Places of members with these numbers of unknowns, one after the other."""
-    ends = np.cumsum([0, *sizes]).tolist()
-    return [slice(low, high) for low, high in pairwise(ends)]
-
-
-def _sums_of_folds(products: Products, every: Sequence[Member], together: bool) -> tuple[np.ndarray, np.ndarray]:
-    """A'A and A'r of all rows: of the folds together, (C, P, P) and (C, P), or of each of F, (F, C, P, P) and (F, C, P)."""
-
-    def summed(of_folds: np.ndarray) -> np.ndarray:
-        return np.asarray(of_folds.sum(axis=0)) if together else of_folds
-
-    Ar = np.concatenate([summed(products.pull(effect)) @ modes for effect, modes in every], axis=-1)
-    AA = np.empty((*Ar.shape, Ar.shape[-1]))
-    for k, place in enumerate(_places([modes.shape[1] for _, modes in every])):
-        row = summed(np.concatenate([products.in_modes(every[k], other) for other in every[: k + 1]], axis=-1))
-        AA[..., place, : place.stop] = row
-        AA[..., : place.stop, place] = np.swapaxes(row, -1, -2)
-    return AA, Ar
 
 
 def by_fold(state: State, candidate: Active, sigma: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -331,7 +297,7 @@ def _residual(model: LinearModel, active: Sequence[Active], beta: np.ndarray) ->
     """Residual of every row, shape (N, m), for coefficients beta."""
     K = model.A.shape[2]
     residual = model.r - model.A @ beta[:K]
-    for a, place in zip(active, _places([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
+    for a, place in zip(active, places_of([K, *(a.modes.shape[1] for a in active)])[1:], strict=True):
         residual -= model.seen(model.made_of(a.effect, a.modes @ beta[place])[:, :, None])[:, :, 0]
     return np.asarray(residual)
 
@@ -361,6 +327,4 @@ def with_candidate(state: State, candidate: Active) -> tuple[NormalEquations, np
 
 def with_columns(state: State, effect: Effect) -> NormalEquations:
     """Equations of the model with the columns of an effect's coefficients added."""
-    products = state.model.products
-    products.now_in_the_model(state.members)
-    return state.equations.bordered(*state.in_use(*products.chunk_of(effect)))
+    return state.equations.bordered(*state.in_use(*state.model.products.chunk_of(effect)))

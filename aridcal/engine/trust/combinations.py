@@ -14,6 +14,7 @@ import numpy as np
 from aridcal.engine.corrections.effect import ANGULAR
 from aridcal.engine.fit.identifiable import CARRIES
 from aridcal.engine.fit.least_squares import Fit
+from aridcal.engine.levels import PRICE
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.columns import columns_of
 from aridcal.system.progress import SILENT, Progress
@@ -24,10 +25,6 @@ MOST_PARTS = 4
 TOGETHER = 3.0
 """Times that a sum is known better than the difference, or the other way round, from which a pair is worth a sentence: the two
 are then correlated by 0.8."""
-
-SPARED = 2.0
-"""Squares, in sigmas, that fixing one more constant at nominal may cost: its own variance, 1, is gained, and a constant that
-is really nominal costs 1 on average (Akaike 1973; Mallows' C_p)."""
 
 ROWS = 300
 """Work: Rows over which the shift of the target is averaged."""
@@ -166,7 +163,9 @@ def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[
 def _spare(fit: Fit, arm_constants: np.ndarray) -> tuple[list[int], np.ndarray]:
     """Constants that may stay nominal together, the cheapest first, and how all coefficients then change, shape (K,).
 
-    Fixing constant k at nominal costs theta_k^2 / Sigma_kk squares, in sigmas, when all others follow.
+    Fixing constant k at nominal costs theta_k^2 / Sigma_kk squares, in sigmas, when all others follow. It may cost two: its own
+    variance, 1, is gained, and a constant that is really nominal costs 1 on average. As a likelihood that is the price of any
+    number (Akaike 1973; Mallows' C_p).
     """
     theta, covariance = fit.theta.copy(), fit.covariance.copy()
     needed, spare = arm_constants.tolist(), []
@@ -174,7 +173,7 @@ def _spare(fit: Fit, arm_constants: np.ndarray) -> tuple[list[int], np.ndarray]:
         variance = np.diag(covariance)[needed]
         cost = np.where(variance > 0.0, theta[needed] ** 2 / np.where(variance > 0.0, variance, 1.0), np.inf)
         least = int(np.argmin(cost))
-        if cost[least] >= SPARED:
+        if 0.5 * cost[least] >= PRICE:
             break
         k = needed.pop(least)
         spare.append(k)

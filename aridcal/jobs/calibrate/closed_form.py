@@ -1,4 +1,4 @@
-"""The closed-form answer of Doty (1992) (its sections 3.3 and 8, corrected) on the poses of a calibration."""
+"""The closed form of Doty (1992) (its sections 3.3 and 8, corrected) on poses: a start of the fit, and an answer beside it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.fit.closed_form import tip_poses
+from aridcal.engine.corrections.effect import LINK_COMPONENTS
 from aridcal.engine.fit.constants import stage_urdf
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.instruments.pose import residuals
+from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import same_chain
-from aridcal.engine.robot.doty1992 import link_table, links_from_poses, pose
 from aridcal.engine.rows.dataset import Dataset
+from aridcal.jobs.head1992.doty1992 import link_table, links_from_poses, pose
 
 
 @dataclass(frozen=True)
@@ -55,3 +56,31 @@ def closed_form(geometric: Fit, rows: Dataset, some: np.ndarray) -> ClosedForm |
     predicted = base @ pose(links, robot.positions(rows.readings)) @ target
     residual = residuals(predicted[:, :3, :3], predicted[:, :3, 3], rows.position, rows.rotation)
     return ClosedForm(link_table(robot), links, link_table(same_chain(robot, stage_urdf(geometric))), residual)
+
+
+def closed_form_starts(fit: Fit, rows: Dataset) -> list[np.ndarray]:
+    """Starts of a fit with link parameters from the closed form, shape (K,) each; none where the robot has no such form.
+
+    Args:
+        fit: K coefficients; the others stay as they are.
+        rows: N measured poses.
+    """
+    robot = fit.model.robot
+    of_links = [(k, c) for k, c in enumerate(fit.model.coefficients) if c.component in LINK_COMPONENTS]
+    if not of_links or rows.rotation is None:
+        return []
+    links = links_from_poses(robot, tip_poses(fit.model, rows), rows.readings)
+    if links is None:
+        return []
+    change, theta = links - link_table(robot), fit.theta.copy()
+    for k, c in of_links:
+        theta[k] = change[robot.names.index(c.where), LINK_COMPONENTS.index(c.component)]
+    return [theta]
+
+
+def tip_poses(model: Model, rows: Dataset) -> np.ndarray:
+    """T_base_tip of each measured pose with the model's first frames taken as known, shape (N, 4, 4)."""
+    base, target = (frames[0][1].homogeneous for frames in (model.world_base, model.tip_target))
+    T = np.broadcast_to(np.eye(4), (len(rows), 4, 4)).copy()
+    T[:, :3, :3], T[:, :3, 3] = rows.rotation, rows.position
+    return np.asarray(np.linalg.inv(base) @ T @ np.linalg.inv(target))

@@ -41,6 +41,7 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.quantities import computed
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable
+from aridcal.jobs.calibrate.closed_form import closed_form_starts
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
 from aridcal.jobs.calibrate.groups import LEAST_SHARE, groups
 from aridcal.jobs.calibrate.job_inputs import Job, looked_again, read_job
@@ -149,7 +150,7 @@ def _calibrated(
 ) -> tuple[CalibratedArm, np.ndarray | None]:
     """The calibrated arm of a job, and the readings of the region that its campaign names; see :func:`identify`."""
     campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
-    question = campaign.question
+    question = replace(campaign.question, starts=closed_form_starts)
     labels = station_labels(question, rows)
     check_memory(_size(campaign, robot, rows), str(campaign.path), available_memory())
     progress(f"fitting frames and constants to {rows.train.sum()} rows")

@@ -2,8 +2,9 @@
 
 Each visual fails alone: it costs a notice, and neither another visual nor the scene.
 
-The visuals are read here and not by yourdfpy, which gives up the whole robot for one visual that is wrong, knows no
-ROS_PACKAGE_PATH, and needs trimesh also where there is no mesh to load.
+The visuals are read here and not by yourdfpy, which gives up the whole robot for one visual that is wrong, says nothing of a
+mesh that is missing, knows no ROS_PACKAGE_PATH, and reads meshes within this process, whatever they do to it. Collisions need the
+same shapes.
 """
 
 from __future__ import annotations

@@ -4,34 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.corrections.catalogue import KINDS, is_of_head
 from aridcal.engine.fit.noise import WORTH_SAYING
-from aridcal.engine.search.noise_tests import Clue
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.instrument_results import known_scale
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros
 from aridcal.jobs.calibrate.key_figures import (
-    LEAST_HELD_OUT,
-    OVERFIT_RATIO,
     PLUS,
-    QUESTIONABLE_OUTLIERS,
     Step,
     another_day,
     constants,
-    every_held_out_row,
-    final_halves,
-    generalisation,
     judged_channels,
-    narrow_joints,
     or_as_well,
-    over_time,
     removed_shares,
     scored,
-    sigma_and_error,
     squared,
     steps,
 )
@@ -39,7 +29,7 @@ from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.pages.drawing.frame import card
 from aridcal.pages.drawing.html import Content, bullets, codes, fold, tag
-from aridcal.pages.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
+from aridcal.pages.drawing.parts import size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,
     NOT_STATED,
@@ -49,10 +39,10 @@ from aridcal.pages.drawing.words import (
     noise_in_words,
     noise_unknown_in_words,
     per_number,
-    scale_in_words,
     sigmas_in_words,
     who_and_what,
 )
+from aridcal.pages.report.trust_checks import RULES, other_day
 from aridcal.system.wording import counted, number
 
 NO_BETTER = " No model can reliably do better."
@@ -80,7 +70,6 @@ OF_THE_TARGET = ("position", "rotation")
 
 MOST_BARS = 7
 MOST_CAUSES = 3
-MOST_NAMES = 3
 
 # Share of the squared error below which only its smallness is told.
 LEAST_SHARE_SHOWN = 1e-3
@@ -95,36 +84,47 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
         outcome: What was found.
         beside: Names of files that stand beside the page, which it links to.
     """
+    yield from _title(outcome)
+    yield from _files(outcome, beside)
+    cards = [_card(outcome, k) for k in judged_channels(outcome)]
+    yield tag("div", cards, _other_day(outcome), class_="cards")
+    for good, words in kept_in_words(outcome, asked=True):
+        yield tag("p", tag("strong", words), class_="good" if good else "look")
+    yield tag(
+        "div",
+        tag("div", tag("h2", "Main corrections"), list(_shares(outcome)), list(_largest(outcome))),
+        tag("div", tag("h2", "What remains"), list(_remaining(outcome))),
+        tag("div", tag("h2", "Can I trust it?"), tag("ul", list(_trust(outcome)), class_="checks")),
+        class_="answers",
+    )
+
+
+def _title(outcome: Outcome) -> Iterator[Markup]:
+    """Which robot was calibrated from what, by whom, and whether a controller may have the result."""
     m, robot = outcome.measurements, outcome.robot
     files = ", ".join(path.name for path in m.origin.files)
     rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.from_to}", class_="about")
     yield tag("p", list(_who_and_what(outcome)), class_="about")
-    ready = outcome.verdict.for_controller
-    if not ready:
+    if not outcome.verdict.for_controller:
         yield tag("p", tag("strong", NOT_FOR_A_CONTROLLER), class_="refused")
-    links = [
-        part
-        for name, use in (LINKED if ready else LINKED | NOT_READY).items()
-        if name in beside
-        for part in (" · ", tag("a", name, href=name), f": {use}")
-    ]
+
+
+def _files(outcome: Outcome, beside: Collection[str]) -> Iterator[Markup]:
+    """Links to the files of the result that stand beside the page."""
+    uses = LINKED if outcome.verdict.for_controller else LINKED | NOT_READY
+    there = [(name, use) for name, use in uses.items() if name in beside]
+    links = [part for name, use in there for part in (" · ", tag("a", name, href=name), f": {use}")]
     if links:
         yield tag("p", "In this folder: ", links[1:], class_="about")
-    cards = [_card(outcome, k) for k in judged_channels(outcome)]
-    yield tag("div", cards, _other_day(outcome), class_="cards")
-    for good, words in kept_in_words(outcome, asked=True):
-        yield tag("p", tag("strong", words), class_="good" if good else "look")
-    other_day = another_day(outcome)  # has a card of its own
-    checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
-    yield tag(
-        "div",
-        tag("div", tag("h2", "Main corrections"), list(_causes(outcome))),
-        tag("div", tag("h2", "What remains"), list(_remaining(outcome))),
-        tag("div", tag("h2", "Can I trust it?"), tag("ul", checked, class_="checks")),
-        class_="answers",
-    )
+
+
+def _trust(outcome: Outcome) -> Iterator[Markup]:
+    """What each rule says, but for another day's rows, which have a card of their own."""
+    for rule in RULES:
+        if rule is not other_day:
+            yield from (_check(good, words) for good, words in rule(outcome))
 
 
 def _who_and_what(outcome: Outcome) -> Iterator[Content]:
@@ -226,26 +226,34 @@ def _name(step: Step) -> str:
     return " = ".join(GIVEN.get(name, name) for name in names)
 
 
-def _causes(outcome: Outcome) -> Iterator[Content]:
-    """Which corrections removed how much of the squared error, and the largest of them."""
+def _shares(outcome: Outcome) -> Iterator[Markup]:
+    """Which corrections removed how much of the squared error."""
     shares = removed_shares(outcome)
-    identified = [p for p in constants(outcome) if p["status"] == "identified"]
     if shares and shares[0][1] <= 0.0:
         yield tag("p", f"No correction lowers the {squared(outcome).removeprefix('squared ')} of these rows.")
     elif shares:
         yield tag("p", f"Shares of the {squared(outcome)} that they remove:")
-        lines = _shares_in_words(outcome, shares, len(identified))
+        lines = _shares_in_words(outcome, shares, len(_identified(outcome)))
         yield tag("ul", [tag("li", tag("b", share), " ", who) for share, who in lines], class_="shares")
-    words: list[Content] = []
+
+
+def _identified(outcome: Outcome) -> list[dict[str, Any]]:
+    """Constants that the rows determine."""
+    return [p for p in constants(outcome) if p["status"] == "identified"]
+
+
+def _largest(outcome: Outcome) -> Iterator[Markup]:
+    """The largest error of a joint's zero, and the largest other constant, of each unit."""
     zeros = joint_zeros(outcome.stage("geometric").fit, outcome.robot)
     of_zeros = {name for zero in zeros for name in zero.names}
+    others = [p for p in _identified(outcome) if p["name"] not in of_zeros]
+    words: list[Content] = []
     for unit in ("rad", "m"):
         zero = max((z for z in zeros if z.unit == unit), key=lambda z: abs(z.value), default=None)
         if zero is not None:
             words += [", ", f"{zero.joint} zero off by {zero_in_words(zero)} (", codes(zero.names), ")"]
     for unit in ("rad", "m"):
-        others = (p for p in identified if p["unit"] == unit and p["name"] not in of_zeros)
-        largest = max(others, key=lambda p: abs(p["value"]), default=None)
+        largest = max((p for p in others if p["unit"] == unit), key=lambda p: abs(p["value"]), default=None)
         if largest is not None:
             words += [", ", tag("code", largest["name"]), f" {size_in_words(largest)}"]
     if words:
@@ -330,81 +338,6 @@ def _is_floor(outcome: Outcome, sigma: np.ndarray) -> bool:
     """True if the final residual is nowhere below a noise, shape (C,), by more than people misstate one by; NaN is none."""
     scatter = outcome.stage("final").fit.estimated
     return not np.any(scatter <= sigma * math.exp(-WORTH_SAYING))
-
-
-def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
-    """What speaks for the result (True) and what should be looked at first (False)."""
-    yield from _row_checks(outcome)
-    yield from _fit_checks(outcome)
-    yield from kept_in_words(outcome, asked=False)
-    for sentence in scale_in_words(outcome):
-        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
-    sigma_beside_error = None if outcome.measurements.direct else sigma_and_error(outcome)
-    if sigma_beside_error is not None:
-        sigma, error = sigma_beside_error
-        more = (
-            ""
-            if sigma < error
-            else f" The rows agree to {number(error, 2)} mm there: that is consistency, not accuracy."
-        )
-        yield sigma < error, f"The target is known to ± {number(sigma, 2)} mm (1σ in its worst direction).{more}"
-    verified = another_day(outcome)
-    if verified is not None:
-        yield verified
-    narrow = [j.name for j in narrow_joints(outcome)]
-    if narrow:
-        rest = len(narrow) - MOST_NAMES
-        more = f" and {rest} more" if rest > 0 else ""
-        yield False, f"Less than half of the range was measured of {', '.join(narrow[:MOST_NAMES])}{more}."
-
-
-def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
-    """Are rows held out, and how many are bad?"""
-    m = outcome.measurements
-    held_out, every = (int(outcome.parts()[part].sum()) for part in ("test", "test_all"))
-    if every:
-        flagged = every - held_out
-        none = f"0 of {every:,} held-out rows flagged as outliers"  # the cards have their error
-        yield flagged <= QUESTIONABLE_OUTLIERS * every, f"{every_held_out_row(outcome) if flagged else none}."
-        if over_time(outcome):
-            yield True, f"{over_time(outcome).capitalize()}."
-        if 0 < held_out < LEAST_HELD_OUT:
-            yield False, f"Checked on {counted(held_out, 'held-out row')} only."
-    else:
-        yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
-    flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)
-    yield flagged <= QUESTIONABLE_OUTLIERS * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
-    if refused:
-        read = len(m) + refused
-        yield refused <= QUESTIONABLE_OUTLIERS * read, f"{refused:,} of {counted(read, 'row')} could not be used."
-
-
-def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
-    """Is the minimum the right one, and does the model hold on rows that it was not fitted to?"""
-    c = outcome.stage("geometric").fit.convergence
-    if c.restarts:
-        reached = f"{c.agreed} of {c.restarts} other starting points lead to the same minimum."
-        yield c.converged and c.agreed == c.restarts, reached
-    else:
-        yield c.converged, "The fit converged." if c.converged else "The fit did not converge."
-    ratio = generalisation(outcome)
-    if ratio is not None:
-        differs = any(clue.question == "held_out" and clue.tells for clue in _clues(outcome))
-        yield (
-            ratio < OVERFIT_RATIO and not differs,
-            f"The held-out error is {ratio:.2f} times the error of the fitted rows.",
-        )
-    halves = final_halves(outcome)
-    if halves is not None:
-        p = p_of_halves(halves)
-        which = division_in_words(halves.of, halves.how)
-        disagree = f"Halves of the rows, fitted apart, differ by more than noise explains ({p}): {which}."
-        yield halves.agree, f"Halves of the rows, fitted apart, agree ({p})." if halves.agree else disagree
-
-
-def _clues(outcome: Outcome) -> tuple[Clue, ...]:
-    """Answers of all questions to the residual."""
-    return () if outcome.diagnosis is None else outcome.diagnosis.clues
 
 
 def _check(good: bool, text: str) -> Markup:

@@ -17,7 +17,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.robot.doty import COMPONENTS, link_transform
-from aridcal.engine.robot.doty1992 import (
+from aridcal.jobs.head1992.doty1992 import (
     FRAME,
     JOINTS,
     ORBITER_TO_BASE,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -102,6 +103,18 @@ def test_what_was_found_of_a_state_is_not_found_again_and_is_no_other_states():
     assert refine(made, WARM, first[0]) is fine
     assert refine(made, WARM, replace(first[0], gain=0.0)) is not fine  # of another rough score
     assert score_all(made.model, [WARM], replace(made, used=~made.used))[0] is not first[0]
+
+
+def test_answers_about_a_state_go_with_it_and_leave_it_as_it_was():
+    made = solved()
+    again = replace(made)
+    before = dict(vars(again))
+    fine = refine(again, WARM, score_all(again.model, [WARM], again)[0])
+    assert fine in made.model.answers.of(again).values() and not made.model.answers.of(made)
+    assert {name: value for name, value in vars(again).items() if name in before} == before
+    gone = ref(again)
+    del again
+    assert gone() is None
 
 
 @pytest.mark.parametrize("prepared", [True, False])

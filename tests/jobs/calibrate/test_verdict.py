@@ -19,8 +19,9 @@ from aridcal.jobs.calibrate.folder import result_document
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, decide, row_clues
-from aridcal.pages.report.first_screen import BELOW, NO_BETTER, checks
+from aridcal.pages.report.first_screen import BELOW, NO_BETTER
 from aridcal.pages.report.first_screen import summary as first_screen
+from aridcal.pages.report.trust_checks import checks
 
 SIGMA = 1e-4
 STEP = Effect("joint_gain", "joint_1", (Coefficient("joint_1", "axis"),))

@@ -9,7 +9,7 @@ from heads import ARID, OPTICS, START
 from aridcal.engine.instruments.camera import DOTY_OPENCV, on_plane
 from aridcal.engine.instruments.camera_sonar import HeadShot, packed, reduced, unpacked
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.doty1992 import ORBITER_TO_BASE, pose
+from aridcal.jobs.head1992.doty1992 import ORBITER_TO_BASE, pose
 from aridcal.jobs.head1992.sonar import fit_plane, ranges
 from aridcal.jobs.head1992.square import CENTRES
 from aridcal.jobs.head1992.square_pose import doty_axes

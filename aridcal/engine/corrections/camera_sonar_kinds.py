@@ -1,4 +1,4 @@
-"""Kinds of effects of cameras and of the measuring head: what a lens or a sonar does otherwise than declared."""
+"""Kinds of effects of cameras and sonars: what a lens or a sonar does otherwise than declared."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ LENS = (("k1",), ("k1", "k2"), ("k1", "k2", "k3"), ("p1", "p2"))
 """Terms of OpenCV's lens model that make sense together: radial ones of rising order; those of a lens askew."""
 
 HEAD = "head"
-"""Role of the measuring head, whose camera and sonars are places of their own."""
+"""Role of a head of a camera and sonars, which are places of their own."""
 
 
-HEAD_KINDS = (
+CAMERA_SONAR_KINDS = (
     Kind(
         "lens_distortion",
         where="`camera`",
