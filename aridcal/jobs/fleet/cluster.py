@@ -151,7 +151,7 @@ def _engine(client: Client, progress: Progress) -> Engine:
             if client.status in ("closing", "closed"):
                 raise EngineGone("the scheduler is gone, and did not come back")
             names = {f"{name}-again" if name in again else name: name for name in waiting}
-            # No list of the futures stays: Dask would compute again what it has answered when a worker dies.
+            # No future stays once it is answered: Dask would compute it again if the worker that did it dies.
             answers = as_completed(
                 client.map(work, list(waiting.values()), key=list(names), pure=False),
                 loop=client.loop,
@@ -160,6 +160,7 @@ def _engine(client: Client, progress: Progress) -> Engine:
             )
             for future, answer in answers:
                 name, status = names[future.key], future.status
+                del future
                 if status == "error" and isinstance(answer[1], KilledWorker) and name not in again:
                     again.add(name)
                     progress.note(f"workers died at one task; it is tried once more at the end: {name}")
