@@ -77,12 +77,12 @@ def _hook(event: str, arguments: tuple[Any, ...]) -> None:
         tell(event, str(arguments[0]))
 
 
+sys.addaudithook(_hook)
+
+
 @contextmanager
 def watched(tell: Callable[[str, str], None]) -> Iterator[None]:
     """Have something told of each operation on files before it is done; what it raises is that operation's failure."""
-    if not hasattr(sys, "_aridcal_hook"):
-        sys._aridcal_hook = True  # type: ignore[attr-defined]
-        sys.addaudithook(_hook)
     _watching.append(tell)
     try:
         yield
@@ -481,3 +481,22 @@ def test_a_folder_with_very_many_other_files_keeps_its_identity(tmp_path):
     write_folder(target)
     assert target.stat().st_ino == inode
     assert len(contents(target)) == len(NEW) + staging.MOST_SHARED
+
+
+def test_a_folder_of_a_result_is_replaced_where_files_move_one_by_one(tmp_path, monkeypatch):
+    fill(tmp_path / "results", {"inputs/old.csv": "old", "notes/today.txt": "mine"})
+    monkeypatch.chdir(tmp_path / "results")
+    with atomic_folder(Path(), ["inputs"]) as folder:
+        fill(folder, {"inputs/new.csv": "new"})
+    assert contents(tmp_path) == {"results/inputs/new.csv": "new", "results/notes/today.txt": "mine"}
+
+
+def test_what_else_a_user_keeps_in_a_folder_does_not_hold_its_writer_up(tmp_path):
+    target = tmp_path / "results"
+    fill(target, {**OLD, "secret.txt": "mine"})
+    os.mkfifo(target / "pipe")
+    (target / "gone").symlink_to("nowhere")
+    (target / "secret.txt").chmod(0)
+    write_folder(target)
+    assert sorted(p.name for p in target.iterdir()) == sorted([*NEW, "gone", "pipe", "secret.txt"])
+    assert (target / "secret.txt").stat().st_mode & 0o777 == 0

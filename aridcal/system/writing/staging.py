@@ -37,9 +37,6 @@ PLAN, NEW = "plan.json", "new"
 DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})
 """Errors that speak of the disk written to, whichever file was meant."""
 
-NO_EXCHANGE = frozenset({errno.EINVAL, errno.ENOSYS, errno.EXDEV, errno.EBUSY, errno.EPERM, errno.EACCES})
-"""What a file system or a kernel answers that cannot swap two folders, or not these, as those of a layer of a container."""
-
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
 """From Linux's fcntl.h and fs.h: paths are relative to the current folder; swap the two."""
 
@@ -49,8 +46,7 @@ def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
     """A folder to build in, on the file system of the target; when the block ends, it is settled and gone."""
     stage = home / f"{hidden(target)}{secrets.token_hex(4)}"
     try:
-        with named(path):
-            stage.mkdir()
+        stage.mkdir()
         yield stage
     except OSError as error:
         # Any other file than those written here is somebody else's trouble: a bug, or an input.
@@ -115,15 +111,9 @@ def _share_others(target: Path, new: Path, names: Collection[str]) -> bool:
 
 
 def _exchanged(first: Path, second: Path) -> bool:
-    """Swap two folders in one step (renameat2(2)); False if this cannot be done: then nothing has happened."""
-    swap = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if swap is None:
-        return False
-    if swap(AT_FDCWD, os.fsencode(first), AT_FDCWD, os.fsencode(second), RENAME_EXCHANGE) == 0:
-        return True
-    if (code := ctypes.get_errno()) in NO_EXCHANGE:
-        return False
-    raise OSError(code, os.strerror(code), str(second))
+    """Swap two folders in one step (renameat2(2)); False if this cannot be done here: then nothing has happened."""
+    swap = getattr(ctypes.CDLL(None), "renameat2", None)
+    return swap is not None and not swap(AT_FDCWD, os.fsencode(first), AT_FDCWD, os.fsencode(second), RENAME_EXCHANGE)
 
 
 def _move(plan: Mapping[str, Any], new: Path, target: Path) -> None:

@@ -193,8 +193,7 @@ def atomic_table(path: Path, beside: Sequence[str]) -> Iterator[Path]:
 def _built(target: Path, path: Path, swap: bool, replaces: Collection[str], first: str = "") -> Iterator[Path]:
     """An empty folder; what is written into it is put in its place."""
     with staged(target, home_of(target) if swap else target, path) as stage:
-        with named(path):
-            (stage / NEW).mkdir()
+        (stage / NEW).mkdir()
         yield stage / NEW
         with named(path):
             put_in_place(stage, target, replaces, swap, first)
