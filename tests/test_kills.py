@@ -497,6 +497,8 @@ def test_what_else_a_user_keeps_in_a_folder_does_not_hold_its_writer_up(tmp_path
     os.mkfifo(target / "pipe")
     (target / "gone").symlink_to("nowhere")
     (target / "secret.txt").chmod(0)
+    os.utime(target, (0, 0))
     write_folder(target)
+    assert target.stat().st_mtime > 0
     assert sorted(p.name for p in target.iterdir()) == sorted([*NEW, "gone", "pipe", "secret.txt"])
     assert (target / "secret.txt").stat().st_mode & 0o777 == 0

@@ -105,6 +105,7 @@ def _share_others(target: Path, new: Path, names: Collection[str]) -> bool:
     try:
         shutil.copytree(target, new, symlinks=True, ignore=ours, copy_function=os.link, dirs_exist_ok=True)
         keep_mode(target, new)
+        os.utime(new)  # it is changed now, not when the old one was
     except OSError:
         return False
     return True
