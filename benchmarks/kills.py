@@ -9,7 +9,7 @@ Example:
 
 Every command runs in a child that shares nothing with its parent but the libraries it has loaded, over an earlier output
 of its own and with a file of the user's beside it. ``each`` kills it (SIGKILL) before its k-th operation: every file opened
-for writing, every folder made, renamed, linked, removed or swapped, every fsync; for all k. ``random`` kills at a random
+for writing, every folder made, renamed, linked, removed or swapped; for all k. ``random`` kills at a random
 moment of its run. Then the output is looked at: it is the earlier one or the new one, whole, or, where files move one by
 one (``measure`` into a folder with other files), never a new one beside an old one; and the next command that writes
 there leaves nothing else. ``stops`` sends Ctrl-C or SIGTERM to real processes at any moment of their lives.
@@ -38,7 +38,7 @@ import pandas as pd
 import yaml
 
 from aridcal import compensate, identify, init, measure, predict, simulate
-from aridcal.system.writing import disk, staging
+from aridcal.system.writing import staging
 from aridcal.system.writing.whole_files import claimed
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,10 +49,6 @@ WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.chmod", "os.chown")
 OWN = re.compile(r"aridcal/(?!__init__|interrupt)\w+\.py")
 """In a traceback: a file of ours that is loaded after signals are watched."""
-
-UNSEEN = ("exchange", "sync")
-"""Operations of ours of which Python's own hook says nothing."""
-
 
 @dataclass(frozen=True)
 class Job:
@@ -164,14 +160,9 @@ def die_at(at: int, home: Path) -> None:
                 and Path(path).absolute().is_relative_to(home)
             ):
                 step()
-        elif event in CHANGES:
+        elif event in CHANGES or (event == "ctypes.dlsym" and arguments[1] == "renameat2"):
             step()
 
-    def observer(operation: str, path: Path) -> None:
-        if operation in UNSEEN:
-            step()
-
-    disk.before = observer
     sys.addaudithook(hook)
 
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from test_kills import acting
 
 from aridcal.command_line import run
 from aridcal.system.errors import AridcalError, OutputError
-from aridcal.system.writing import disk
 from aridcal.system.writing.table_writer import csv_lines
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, check_writable, claimed_table
 
@@ -164,19 +164,24 @@ def test_a_process_stopped_half_way_leaves_the_earlier_result_alone(tmp_path, nu
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interruption_during_the_last_moves_waits_until_they_are_done(tmp_path, monkeypatch, number):
-    target = tmp_path / "results"
-    target.mkdir()
-    (target / "a.txt").write_text("old")
+def test_an_interruption_before_any_operation_leaves_old_or_new_and_nothing_else(tmp_path, number):
+    for at in range(100):
+        home = tmp_path / str(at)
+        (home / "results").mkdir(parents=True)
+        (home / "results" / "a.txt").write_text("old")
+        with acting(at, lambda _: os.kill(os.getpid(), number)) as done:
+            status = run(lambda home=home: write(home / "results"))
+        assert contents(home) in ({"results/a.txt": "new"}, {"results/a.txt": "old"}), at
+        assert [p.name for p in home.iterdir()] == ["results"], at
+        if len(done) <= at:
+            break
+        assert status == 128 + number
+    assert 8 < at < 99 and status == 0
 
-    def body() -> None:
-        with atomic_folder(target) as folder:
-            (folder / "a.txt").write_text("new")
-            monkeypatch.setattr(disk, "before", lambda operation, path: os.kill(os.getpid(), number))
 
-    assert run(body) == 128 + number
-    monkeypatch.undo()
-    assert contents(tmp_path) in ({"results/a.txt": "new"}, {"results/a.txt": "old"})
+def write(target: Path) -> None:
+    with atomic_folder(target) as folder:
+        (folder / "a.txt").write_text("new")
 
 
 @pytest.mark.parametrize("name", ["corners.txt", "corners", "refused.csv"])

@@ -14,11 +14,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from aridcal.system.errors import OutputError
-from aridcal.system.writing import disk, staging, whole_files
+from aridcal.system.writing import staging
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, atomic_table, claimed
 
 OLD = {"a.txt": "old a", "b.txt": "old b", "stale.txt": "old"}
@@ -52,35 +53,64 @@ def write_file(target: Path) -> None:
         path.write_text("new a")
 
 
-def without_exchange(one: Path, other: Path) -> bool:
-    disk.before("exchange", other)
-    return False
+WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT
+
+CHANGES = {"os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.symlink", "os.chmod", "os.chown"}
+
+_watching: list[Callable[[str, str], None]] = []
+"""Told of each operation on files before it is done; hooks of Python's stay for ever, so that there is but one."""
+
+
+def _hook(event: str, arguments: tuple[Any, ...]) -> None:
+    if not _watching:
+        return
+    if event == "open":
+        path, _, flags = arguments
+        if not (isinstance(path, str | os.PathLike) and isinstance(flags, int) and flags & WRITING):
+            return
+    elif event == "ctypes.dlsym":  # of the exchange of two folders, which is about to be done
+        if arguments[1] != "renameat2":
+            return
+    elif event not in CHANGES:
+        return
+    for tell in tuple(_watching):
+        tell(event, str(arguments[0]))
+
+
+sys.addaudithook(_hook)
 
 
 @contextmanager
-def acting(at: int, act: Callable[[], None]) -> Iterator[list[str]]:
-    """Do something just before the k-th operation on files; yields the names of those that were done."""
+def watched(tell: Callable[[str, str], None]) -> Iterator[None]:
+    """Have something told of each operation on files before it is done; what it raises is that operation's failure."""
+    _watching.append(tell)
+    try:
+        yield
+    finally:
+        _watching.remove(tell)
+
+
+@contextmanager
+def acting(at: int, act: Callable[[str], None]) -> Iterator[list[str]]:
+    """Do something, with the path, just before the k-th operation on files; yields the names of those that were done."""
     done: list[str] = []
 
-    def observer(operation: str, path: Path) -> None:
+    def tell(operation: str, path: str) -> None:
         done.append(operation)
         if len(done) - 1 == at:
-            act()
+            act(path)
 
-    disk.before = observer
-    try:
+    with watched(tell):
         yield done
-    finally:
-        disk.before = disk._nothing
 
 
-def die() -> None:
+def die(_: str = "") -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def fail(code: int) -> Callable[[], None]:
-    def act() -> None:
-        raise OSError(code, os.strerror(code), "the disk")
+def fail(code: int) -> Callable[[str], None]:
+    def act(path: str) -> None:
+        raise OSError(code, os.strerror(code), path)
 
     return act
 
@@ -95,25 +125,34 @@ def killed_at(at: int, body: Callable[[], None]) -> bool:
     return os.WIFSIGNALED(os.waitpid(child, 0)[1])
 
 
+def standing_in(write: Callable[[Path], None]) -> Callable[[Path], None]:
+    """A folder that one stands in is not swapped: its files move one by one."""
+
+    def write_inside(target: Path) -> None:
+        before = Path.cwd()
+        try:
+            if target.is_dir():
+                os.chdir(target)
+            write(target)
+        finally:
+            os.chdir(before)
+
+    return write_inside
+
+
 WAYS = {
-    "swapped": (write_folder, {}),
-    "relinked": (write_folder, {"exchange": without_exchange}),
-    "moved": (write_folder, {"can_be_swapped": lambda target, own: not target.is_dir()}),
-    "table": (write_table, {}),
-    "file": (write_file, {}),
+    "swapped": write_folder,
+    "moved": standing_in(write_folder),
+    "table": write_table,
+    "file": write_file,
 }
-"""Each way in which an output gets into its place, and what of the system is missing for it."""
+"""Each way in which an output gets into its place."""
 
 
 @pytest.fixture(params=WAYS)
 def way(request, monkeypatch) -> tuple[str, Callable[[Path], None]]:
     monkeypatch.setattr(staging, "GRACE", 0)  # nobody reads
-    write, missing = WAYS[request.param]
-    if "exchange" in missing:
-        monkeypatch.setattr(disk, "exchange", missing["exchange"])
-    if "can_be_swapped" in missing:
-        monkeypatch.setattr(whole_files, "can_be_swapped", missing["can_be_swapped"])
-    return request.param, write
+    return request.param, WAYS[request.param]
 
 
 def expected(name: str, earlier: bool) -> tuple[dict[str, str], dict[str, str]]:
@@ -137,8 +176,8 @@ def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_n
         before, after = expected(name, earlier)
         killed = killed_at(at, lambda target=target: write(target))
         found = {k: v for k, v in contents(target).items() if staging.OURS not in k} if target.is_dir() else {}
-        if name in ("swapped", "file", "relinked"):
-            assert found in ((before, after) if not (name == "relinked" and earlier) else (before, after, {})), at
+        if name in ("swapped", "file"):
+            assert found in (before, after), at
         else:  # files move one by one: a new one never stands beside an old one of the result
             ours = {text.partition(" ")[0] for text in found.values() if not text.startswith("mine")}
             assert ours in ({"old"}, {"new"}, set()), (at, found)
@@ -147,7 +186,7 @@ def test_a_kill_before_any_operation_leaves_old_or_new_and_the_next_run_leaves_n
             pass
         left = contents(target) if target.is_dir() else {}
         assert left in (before, after), at
-        assert {p.name for p in home.iterdir()} <= {"results", target.resolve().name}, at
+        assert {p.name for p in home.iterdir()} <= {"results"}, at
         write(target)
         assert contents(target) == after
         if not killed:
@@ -176,7 +215,7 @@ def test_a_failure_of_any_operation_leaves_old_or_new_and_is_said(tmp_path, way,
             pass
         found = contents(target)
         assert found in (before, after), at
-        assert {p.name for p in home.iterdir()} <= {"results", target.resolve().name}, at
+        assert {p.name for p in home.iterdir()} <= {"results"}, at
         if said:
             assert str(target) in said and os.strerror(code) in said
         else:
@@ -194,15 +233,17 @@ def test_a_file_that_the_user_adds_at_the_last_moment_is_not_lost_even_by_a_kill
         fill(target, OLD)
         child = os.fork()
         if child == 0:
-            with acting(at, lambda target=target: fill(target, {"late.txt": "mine"})) as done:
-                add = disk.before
+            written = 0
 
-                def add_and_die(operation: str, path: Path, add=add, at=at, done=done) -> None:
-                    if len(done) == at + 2:
-                        die()
-                    add(operation, path)
+            def add_and_die(*_: str, at=at, target=target) -> None:
+                nonlocal written
+                written += 1
+                if written == at + 1:
+                    fill(target, {"late.txt": "mine"})  # two operations that are counted, too
+                if written == at + 5:
+                    die()
 
-                disk.before = add_and_die
+            with watched(add_and_die):
                 write(target)
             os._exit(7)
         ended = os.waitpid(child, 0)[1]
@@ -355,20 +396,11 @@ def test_what_is_no_file_is_never_replaced_by_one(tmp_path, write, kind):
 
 
 @pytest.mark.parametrize("swap", [True, False])
-@pytest.mark.parametrize("where", ["target", "version", "stale"])
+@pytest.mark.parametrize("where", ["target", "stale"])
 def test_a_plan_that_somebody_has_planted_reaches_nothing_elsewhere(tmp_path, swap, where):
     fill(tmp_path, {"mine/thesis.txt": "mine", "shared/.x.aridcal-00000000/new/a.txt": "planted"})
-    plan = {
-        "target": "x",
-        "arriving": ["a.txt"],
-        "stale": [],
-        "swap": swap,
-        "first": "",
-        "version": "x-1",
-        "before": "",
-    }
+    plan = {"target": "x", "arriving": ["a.txt"], "stale": [], "swap": swap}
     plan |= {"target": "../mine"} if where == "target" else {}
-    plan |= {"version": "../mine"} if where == "version" else {}
     plan |= {"stale": ["../../mine/thesis.txt"]} if where == "stale" else {}
     (tmp_path / "shared" / "x").mkdir()
     (tmp_path / "shared" / ".x.aridcal-00000000" / staging.PLAN).write_text(json.dumps(plan))
@@ -400,27 +432,37 @@ def test_a_folder_that_one_stands_in_keeps_its_identity(tmp_path, monkeypatch):
     assert Path.cwd().stat().st_ino == inode
 
 
-def test_a_mount_point_gets_its_files_from_within(tmp_path, monkeypatch):
-    """Mounting takes root's rights: the system's list and its answer to a move across are put in its place."""
-    target = tmp_path / "my results"
-    fill(target, {**OLD, **MINE})
-    rename, listed = disk.rename, str(target).replace(" ", "\\040")
+MOUNTED = """
+import os, subprocess, sys
+from pathlib import Path
+from test_kills import MINE, NEW, OLD, contents, fill, write_folder
 
-    def across(source: Path, place: Path) -> None:
-        if source.is_relative_to(target) != place.is_relative_to(target):
-            raise OSError(errno.EXDEV, os.strerror(errno.EXDEV), str(place))
-        rename(source, place)
+home, other = Path(sys.argv[1]), sys.argv[2]
+target = home / "my results"
+target.mkdir()
+subprocess.run(["mount", *(["--bind", home] if other == "bind" else ["-t", "tmpfs", "none"]), target], check=True)
+fill(target, {**OLD, **MINE})
+before = target.stat().st_ino
+write_folder(target)
+found = {name: text for name, text in contents(target).items() if not name.startswith("my results")}
+assert found == {**NEW, **MINE} and target.stat().st_ino == before, found
+assert [p.name for p in target.iterdir() if "aridcal-" in p.name] == []
+print(sorted(p.name for p in home.iterdir()))
+"""
 
-    (tmp_path / "mounts").write_text(
-        f"36 35 98:0 / / rw - ext4 /dev/a rw\n37 36 98:0 /x {listed} rw - ext4 /dev/a rw\n"
-    )
-    monkeypatch.setattr(staging, "MOUNTS", tmp_path / "mounts")
-    monkeypatch.setattr(disk, "rename", across)
-    inode = target.stat().st_ino
-    write_folder(target)
-    assert contents(target) == {**NEW, **MINE}
-    assert target.stat().st_ino == inode
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["mounts", "my results"]
+
+@pytest.mark.parametrize("other", ["another file system", "bind"])
+def test_a_mount_point_gets_its_files_from_within(tmp_path, other):
+    """A file system of its own, or, which only the kernel's answer tells, a folder of the same one."""
+    inside = ["unshare", "-Urm"]
+    if subprocess.run([*inside, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("nobody but root may mount here")
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [*inside, sys.executable, "-c", MOUNTED, str(tmp_path), other]
+    done = subprocess.run(command, capture_output=True, text=True, env=env, check=False)
+    assert done.returncode == 0, done.stderr
+    if other != "bind":
+        assert done.stdout == "['my results']\n"
 
 
 def test_a_folder_in_which_another_command_writes_is_not_swapped_under_it(tmp_path):
@@ -441,12 +483,22 @@ def test_a_folder_with_very_many_other_files_keeps_its_identity(tmp_path):
     assert len(contents(target)) == len(NEW) + staging.MOST_SHARED
 
 
-def test_a_link_to_a_version_is_renewed_and_one_version_stays(tmp_path, monkeypatch):
-    monkeypatch.setattr(disk, "exchange", without_exchange)
+def test_a_folder_of_a_result_is_replaced_where_files_move_one_by_one(tmp_path, monkeypatch):
+    fill(tmp_path / "results", {"inputs/old.csv": "old", "notes/today.txt": "mine"})
+    monkeypatch.chdir(tmp_path / "results")
+    with atomic_folder(Path(), ["inputs"]) as folder:
+        fill(folder, {"inputs/new.csv": "new"})
+    assert contents(tmp_path) == {"results/inputs/new.csv": "new", "results/notes/today.txt": "mine"}
+
+
+def test_what_else_a_user_keeps_in_a_folder_does_not_hold_its_writer_up(tmp_path):
     target = tmp_path / "results"
-    fill(target, {**OLD, **MINE})
-    for _ in range(3):
-        write_folder(target)
-        assert target.is_symlink()
-        assert contents(target) == {**NEW, **MINE}
-        assert sorted(p.name for p in tmp_path.iterdir()) == ["results", target.readlink().name]
+    fill(target, {**OLD, "secret.txt": "mine"})
+    os.mkfifo(target / "pipe")
+    (target / "gone").symlink_to("nowhere")
+    (target / "secret.txt").chmod(0)
+    os.utime(target, (0, 0))
+    write_folder(target)
+    assert target.stat().st_mtime > 0
+    assert sorted(p.name for p in target.iterdir()) == sorted([*NEW, "gone", "pipe", "secret.txt"])
+    assert (target / "secret.txt").stat().st_mode & 0o777 == 0

@@ -107,9 +107,7 @@ def test_nobody_else_reads_a_users_file() -> None:
         "pages/drawing/scene.py",
         "calibration.py",
         "view.py",
-        "system/writing/lock.py",
         "system/writing/staging.py",
-        "system/writing/disk.py",
         "engine/robot/meshes.py",  # in a process of its own, within limits of its own
         "engine/model/memory.py",  # what the system says of its memory
     }

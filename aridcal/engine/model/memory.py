@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,10 +27,8 @@ six joints took 750 each, where nothing was sought; an effect's columns and cond
 BYTES_OF_A_PAIR = 150_000
 """Bytes of what is tried for each pair of joints: couplings, functions of one load or of two covariates, and their columns."""
 
-ROOTS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
-"""Where Linux says what a container may use, in version 2 and in version 1."""
-
-LIMITS = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes"))
+OF_THE_CONTAINER = Path("/sys/fs/cgroup/memory.max")
+"""Where Linux says what all of a container may use: a number, or ``max``."""
 
 
 @dataclass(frozen=True)
@@ -104,34 +101,12 @@ def _gigabytes(size: int) -> str:
 
 
 def available_memory() -> int | None:
-    """Bytes that the system, and the process's container, have left for this process; None where neither says."""
-    amounts = []
-    for line in _lines(Path("/proc/meminfo")):
-        if line.startswith("MemAvailable:"):
-            amounts.append(1024 * int(line.split()[1]))
-    for folder in _groups():
-        for limit, usage in LIMITS:
-            most, used = _number(folder / limit), _number(folder / usage)
-            if most is not None and used is not None:
-                amounts.append(max(most - used + _cached(folder), 0))
+    """Bytes that the system has left, at most what the process's container may use in all; None where neither says."""
+    amounts = [
+        1024 * int(line.split()[1]) for line in _lines(Path("/proc/meminfo")) if line.startswith("MemAvailable:")
+    ]
+    amounts += [int(line) for line in _lines(OF_THE_CONTAINER) if line.isdecimal()]
     return min(amounts, default=None)
-
-
-def _cached(folder: Path) -> int:
-    """Bytes of files that the system keeps in a group's memory, and gives up when asked."""
-    names = ("inactive_file", "total_inactive_file")
-    fields = (line.split() for line in _lines(folder / "memory.stat"))
-    return max((int(size) for name, size in fields if name in names), default=0)
-
-
-def _groups() -> list[Path]:
-    """Folders of the control groups that this process is in, and of those around them."""
-    folders = []
-    for line in _lines(Path("/proc/self/cgroup")):
-        inner = Path(line.rsplit(":", 1)[-1].lstrip("/"))
-        for root in ROOTS:
-            folders += [root / part for part in (inner, *inner.parents)]
-    return list(dict.fromkeys(folders))
 
 
 def _lines(path: Path) -> list[str]:
@@ -139,10 +114,3 @@ def _lines(path: Path) -> list[str]:
         return path.read_text().splitlines()
     except OSError:
         return []
-
-
-def _number(path: Path) -> int | None:
-    text = "".join(_lines(path)[:1])
-    return (
-        int(text) if text.isdecimal() and int(text) < os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") else None
-    )

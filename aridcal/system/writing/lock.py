@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from aridcal.system.errors import BusyError
-
-ATTEMPTS, PAUSE = 20, 0.01
-"""A holder that ends removes its lock's file, which can be taken for a held lock for an instant: looked at again, [s]."""
+from aridcal.system.writing.signals import undisturbed
 
 _mine: ContextVar[frozenset[Path]] = ContextVar("_mine", default=frozenset())
 """Locks that this thread holds."""
@@ -28,7 +24,7 @@ def is_mine(lock: Path) -> bool:
 
 @contextmanager
 def held(lock: Path, path: Path) -> Iterator[None]:
-    """Hold a lock until the block ends; its file is gone afterwards.
+    """Hold a lock (flock(2)) until the block ends; its file is gone afterwards.
 
     Args:
         lock: Its file, in a folder that exists; not one that this thread holds.
@@ -38,50 +34,48 @@ def held(lock: Path, path: Path) -> Iterator[None]:
         BusyError: another process holds it; its number is named.
         OSError: the file system has no room or no locks.
     """
-    handle = _take(lock, path)
+    handle = _taken(lock, path)
     token = _mine.set(_mine.get() | {lock})
     try:
+        lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
         yield
     finally:
         _mine.reset(token)
-        _give_back(lock, handle)
+        with undisturbed():
+            with suppress(OSError):
+                lock.unlink()  # while it is held: whoever opened it before looks again
+            fcntl.flock(handle, fcntl.LOCK_UN)  # of children, too, that have the handle from a fork
+            os.close(handle)
 
 
-def _take(lock: Path, path: Path) -> FileLock:
-    for _ in range(ATTEMPTS):
-        handle = FileLock(lock, timeout=0, mode=0o666)  # writable for all: another user may have to clear it away
+def _taken(lock: Path, path: Path) -> int:
+    """The handle of a lock that is held from now on."""
+    while True:
+        handle = os.open(
+            lock, os.O_RDWR | os.O_CREAT, 0o666
+        )  # writable for all: another user may have to clear it away
         try:
-            handle.acquire()
-        except Timeout:
-            if holder := _holder(lock):
-                raise BusyError(
-                    f"{path}: is being written by {holder}; wait until it has ended, or choose another place"
-                ) from None
-            time.sleep(PAUSE)
-            continue
-        try:
-            lock.write_text(f"{os.getpid()} {platform.node()}", encoding="utf-8")
-        except OSError:  # the disk is full
-            _give_back(lock, handle)
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(handle), lock.stat()):
+                    return handle
+        except BlockingIOError:
+            holder = _holder(os.pread(handle, 999, 0).decode("utf-8", "replace"))
+            os.close(handle)
+            raise BusyError(
+                f"{path}: is being written by {holder}; wait until it has ended, or choose another place"
+            ) from None
+        except BaseException:
+            os.close(handle)
             raise
-        return handle
-    raise BusyError(f"{path}: is being written by another process; wait until it has ended, or choose another place")
+        os.close(handle)  # its holder removed it after we had opened it
 
 
-def _give_back(lock: Path, handle: FileLock) -> None:
-    """Remove a lock's file, while it is held: whoever opened it before looks again."""
-    lock.unlink(missing_ok=True)
-    handle.release()
-
-
-def _holder(lock: Path) -> str:
-    """Who holds a lock, in words; empty if its file says nothing, or no longer exists."""
-    try:
-        number, _, machine = lock.read_text(encoding="utf-8").partition(" ")
-    except OSError:
-        return ""
+def _holder(text: str) -> str:
+    """Who holds a lock, in words, by what its file says."""
+    number, _, machine = text.partition(" ")
     if not number:
-        return ""
+        return "another process"
     if machine != platform.node():
         return f"process {number} on {machine}"
     return "this very process, in another thread" if number == str(os.getpid()) else f"process {number}"

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import json
 import os
-import re
 import secrets
+import shutil
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import asdict, dataclass, replace
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 from aridcal.system.errors import OutputError
-from aridcal.system.writing import disk
 from aridcal.system.writing.lock import held, is_mine
 from aridcal.system.writing.signals import undisturbed
 
@@ -28,43 +28,17 @@ NAME_SHOWN = 50
 MOST_SHARED = 1000
 """Other files in a folder that is swapped: each is linked into the new one, which takes some 10 µs."""
 
-MOUNTS = Path("/proc/self/mountinfo")
-"""Its fifth word is the mount point, blanks as ``\\040`` (proc(5))."""
-
 GRACE = 0.1
 """Before an earlier folder is removed, [s]: a program that is listing it, or reading its files one after another, may finish."""
 
-PLAN, NEW, OLD, LINK = "plan.json", "new", "old", "link"
-"""What is in a stage: how it gets into its place; what was built (after a swap: what it replaced); what gave way to a link."""
+PLAN, NEW = "plan.json", "new"
+"""What is in a stage: how it gets into its place; what was built (after a swap: what it replaced)."""
 
 DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS})
 """Errors that speak of the disk written to, whichever file was meant."""
 
-UNMOVABLE_ERRORS = frozenset({errno.EXDEV, errno.EBUSY, errno.EPERM, errno.EACCES})
-"""Answers to moving a folder that cannot be moved, though files can be moved into it: from a layer of a container, say."""
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """How a finished stage gets into its place. Once it is on the disk, a killed run is settled by the next one.
-
-    Attributes:
-        target: The folder, as seen from the one that holds the stage.
-        arriving: Names of the new files.
-        stale: Names of earlier files that go, since the new result has none in their place.
-        swap: Whether the folder as a whole changes its place, or its files one by one.
-        first: The file that is replaced; the others are taken away before, and appear after it.
-        version: What the new folder is called if only a link can be replaced in one step.
-        before: What that link names so far; empty if there is none.
-    """
-
-    target: str
-    arriving: tuple[str, ...]
-    stale: tuple[str, ...]
-    swap: bool
-    first: str
-    version: str
-    before: str
+AT_FDCWD, RENAME_EXCHANGE = -100, 2
+"""From Linux's fcntl.h and fs.h: paths are relative to the current folder; swap the two."""
 
 
 @contextmanager
@@ -72,8 +46,7 @@ def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
     """A folder to build in, on the file system of the target; when the block ends, it is settled and gone."""
     stage = home / f"{hidden(target)}{secrets.token_hex(4)}"
     try:
-        with named(path):
-            disk.make_folder(stage)
+        stage.mkdir()
         yield stage
     except OSError as error:
         # Any other file than those written here is somebody else's trouble: a bug, or an input.
@@ -98,128 +71,90 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
     Raises:
         OSError: what was there before is still there, or the next run completes the move.
     """
-    new = stage / NEW
-    arriving = tuple(sorted(entry.name for entry in new.iterdir()))
-    stale = tuple(sorted(set(replaces).difference(arriving)))
+    new, earlier = stage / NEW, target.is_dir()
+    arriving = sorted(_others_than(new, ()), key=lambda name: name != first)
+    stale = sorted(set(replaces).difference(arriving))
     folders = {name for name in arriving if (new / name).is_dir()}
-    check_names(target, [name for name in arriving if name not in folders], folders)
-    earlier = target.is_dir()
-    if earlier:
-        for name in arriving:
-            if (target / name).exists():
-                disk.keep_mode(target / name, new / name)
-        swap = swap and _share_others(target, new, [*arriving, *stale])
-    disk.sync_tree(new)
-    version = f"{target.name[:NAME_SHOWN]}-{secrets.token_hex(4)}"
-    before = str(target.readlink()) if target.is_symlink() else ""
-    plan = _Plan(os.path.relpath(target, stage.parent), arriving, stale, swap, first, version, before)
-    with undisturbed():
-        disk.write(stage / PLAN, json.dumps(asdict(plan)))
-        disk.sync(stage)
-        if swap:
-            _swap(plan, stage, target)
-        else:
-            _move(plan, new, target)
-        disk.sync(target.parent)
+    check_names(target, set(arriving) - folders, folders)
+    for name in arriving if earlier else ():
+        if (target / name).exists():
+            keep_mode(target / name, new / name)
+    swap = not earlier or (swap and _share_others(target, new, {*arriving, *stale}))
+    _sync_tree(new)
+    # Once this is on the disk, whatever stops what follows is settled: at the end of the block, or by the next run.
+    plan = {"target": os.path.relpath(target, stage.parent), "arriving": arriving, "stale": stale, "swap": swap}
+    _write_plan(plan, stage)
+    if swap and earlier and not _exchanged(new, target):
+        swap = False
+        _write_plan(plan | {"swap": False}, stage)
+    if not swap:
+        _move(plan, new, target)
+    elif not earlier:
+        new.rename(target)
+    sync(target.parent)
     if swap and earlier:
         time.sleep(GRACE)
 
 
 def _share_others(target: Path, new: Path, names: Collection[str]) -> bool:
-    """Give the new folder whatever else the old one holds; False, and nothing, if that cannot be."""
-    other_names = others_than(target, names)
+    """Give the new folder whatever else the old one holds, as hard links; False if that cannot be."""
+
+    def ours(folder: str, entries: list[str]) -> Collection[str]:
+        return names if folder == str(target) else ()
+
     try:
-        for name in other_names:
-            disk.share(target / name, new / name)
-        disk.keep_mode(target, new)
+        shutil.copytree(target, new, symlinks=True, ignore=ours, copy_function=os.link, dirs_exist_ok=True)
+        keep_mode(target, new)
+        os.utime(new)  # it is changed now, not when the old one was
     except OSError:
-        for name in other_names:
-            disk.remove(new / name)
         return False
     return True
 
 
-def _swap(plan: _Plan, stage: Path, target: Path) -> None:
-    """Have the new folder take the old one's place, in one step wherever there is one."""
-    new = stage / NEW
-    if not os.path.lexists(target):
-        disk.rename(new, target)
-        return
-    try:
-        if target.is_symlink() or not disk.exchange(new, target):
-            _relink(plan, stage, target)
-    except OSError as error:
-        if error.errno not in UNMOVABLE_ERRORS:
-            raise
-        for source, place in ((target.parent / plan.version, new), (stage / OLD, target)):  # as it was
-            if source.is_dir() and not os.path.lexists(place):
-                disk.rename(source, place)
-        plan = replace(plan, swap=False)
-        disk.write(stage / PLAN, json.dumps(asdict(plan)))
-        _move(plan, new, target)
+def _exchanged(first: Path, second: Path) -> bool:
+    """Swap two folders in one step (renameat2(2)); False if this cannot be done here: then nothing has happened."""
+    swap = getattr(ctypes.CDLL(None), "renameat2", None)
+    return swap is not None and not swap(AT_FDCWD, os.fsencode(first), AT_FDCWD, os.fsencode(second), RENAME_EXCHANGE)
 
 
-def _relink(plan: _Plan, stage: Path, target: Path) -> None:
-    """Without an exchange of folders: the target is a link to a version of the folder, and a link is replaced in one step.
-
-    Only the first time, when a folder gives way to the link, are there two.
-    """
-    disk.rename(stage / NEW, target.parent / plan.version)
-    disk.point(stage / LINK, plan.version)
-    if not target.is_symlink():
-        disk.rename(target, stage / OLD)
-    disk.rename(stage / LINK, target)
-
-
-def _move(plan: _Plan, new: Path, target: Path) -> None:
+def _move(plan: Mapping[str, Any], new: Path, target: Path) -> None:
     """Move files one by one, as far as they have not been moved: never a new one stands beside an old one."""
-    waiting = sorted(
-        (name for name in plan.arriving if os.path.lexists(new / name)), key=lambda name: name != plan.first
-    )
-    for name in [*plan.stale, *waiting[1:]]:
-        disk.remove(target / name)
+    waiting = [name for name in plan["arriving"] if os.path.lexists(new / name)]
+    for name in [*plan["stale"], *waiting[1:]]:
+        _remove(target / name)
     for name in waiting:
-        disk.rename(new / name, target / name)
+        if (target / name).is_dir():
+            _remove(target / name)
+        shutil.move(new / name, target / name)  # which copies where a file system is mounted at the target
 
 
 def _settle(stage: Path) -> None:
     """Complete what was begun with a stage, and remove it: at the end of a run, or after one that was killed."""
-    if (plan := _read_plan(stage)) is not None:
-        target = Path(os.path.normpath(stage.parent / plan.target))
-        if plan.swap:
-            _settle_swap(plan, stage, target)
-        elif target.is_dir():
-            _move(plan, stage / NEW, target)
-    disk.remove(stage)
+    plan, new = _read_plan(stage), stage / NEW
+    target = stage.parent / plan["target"] if plan else stage
+    if plan and target.is_dir() and not plan["swap"]:
+        _move(plan, new, target)
+    elif plan and target.is_dir() and new.is_dir():  # the old folder: what the user has put into it at the last moment
+        for name in _others_than(new, [*plan["arriving"], *plan["stale"]]):
+            if not os.path.lexists(target / name):
+                (new / name).rename(target / name)
+    _remove(stage)
 
 
-def _settle_swap(plan: _Plan, stage: Path, target: Path) -> None:
-    """After a swap, or none: the old folder goes, but for what the user has put into it at the last moment."""
-    if (stage / OLD).is_dir() and not os.path.lexists(target):  # killed between the two steps of a first link
-        disk.rename(stage / OLD, target)
-    out = [stage / NEW, stage / OLD]
-    linked = target.is_symlink() and str(target.readlink()) == plan.version
-    if not linked:
-        out.append(target.parent / plan.version)
-    elif plan.before:
-        out.append(target.parent / plan.before)
-    for folder in out:
-        if folder.is_dir() and target.is_dir():
-            for name in others_than(folder, [*plan.arriving, *plan.stale]):
-                if not os.path.lexists(target / name):
-                    disk.rename(folder / name, target / name)
-    for folder in out[2:]:
-        disk.remove(folder)
+def _write_plan(plan: Mapping[str, Any], stage: Path) -> None:
+    (stage / PLAN).write_text(json.dumps(plan), encoding="utf-8")
+    sync(stage / PLAN)
+    sync(stage)
 
 
-def _read_plan(stage: Path) -> _Plan | None:
-    """The plan of a stage; None if it has none yet: then nothing has been put in place. No plan reaches elsewhere."""
+def _read_plan(stage: Path) -> dict[str, Any]:
+    """The plan of a stage; empty if it has none yet: then nothing has been put in place. No plan reaches elsewhere."""
     try:
-        plan = _Plan(**json.loads((stage / PLAN).read_text(encoding="utf-8")))
-        names = [plan.target, plan.version, plan.before, *plan.arriving, *plan.stale]
-        return plan if all(name != ".." and os.sep not in name for name in names) else None
-    except (OSError, ValueError, TypeError):
-        return None
+        plan: dict[str, Any] = json.loads((stage / PLAN).read_text(encoding="utf-8"))
+        names = [plan["target"], *plan["arriving"], *plan["stale"], str(plan["swap"])]
+        return plan if all(name != ".." and os.sep not in name for name in names) else {}
+    except (OSError, ValueError, TypeError, KeyError):
+        return {}
 
 
 def clear_up(folder: Path, current: Path) -> None:
@@ -246,38 +181,22 @@ def clear_up(folder: Path, current: Path) -> None:
 
 def can_be_swapped(target: Path, names: Collection[str]) -> bool:
     """Whether a folder can change its place as a whole, with nobody missing it who stands or writes in it."""
-    if home_of(target) == target or _is_mount_point(target):
+    if home_of(target) == target or os.path.ismount(target):
         return False
     if not target.is_dir():
         return True
     with suppress(FileNotFoundError):  # this process stands in a folder that is gone
-        if Path.cwd().is_relative_to(os.path.realpath(target)):
+        if Path.cwd().is_relative_to(target):
             return False
-    count = 0
-    for name in others_than(target, names):
-        inside = (entry for _, folders, files in os.walk(target / name) for entry in (*folders, *files))
-        for entry in chain([name], inside):
-            count += 1
-            if OURS in entry or count > MOST_SHARED:  # OURS: another command writes in it
-                return False
-    return True
+    others = _others_than(target, names)
+    inside = (entry for name in others for _, *kinds in os.walk(target / name) for entry in chain(*kinds))
+    entries = list(islice(chain(others, inside), MOST_SHARED + 1))
+    return len(entries) <= MOST_SHARED and not any(OURS in entry for entry in entries)  # OURS: a command writes in it
 
 
-def _is_mount_point(folder: Path) -> bool:
-    """Whether a folder is where a file system, or a part of one, is mounted; of a part only the system's own list tells."""
-    if os.path.ismount(folder):
-        return True
-    try:
-        mounts = MOUNTS.read_text(encoding="utf-8", errors="surrogateescape")
-    except OSError:  # not a Linux
-        return False
-    points = (line.split()[4] for line in mounts.splitlines())
-    return str(folder) in {re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), point) for point in points}
-
-
-def others_than(folder: Path, names: Collection[str]) -> list[str]:
+def _others_than(folder: Path, names: Collection[str]) -> list[str]:
     """Names in a folder that are none of these."""
-    return sorted({entry.name for entry in os.scandir(folder)}.difference(names))
+    return sorted({entry.name for entry in folder.iterdir()}.difference(names))
 
 
 def check_names(folder: Path, files: Collection[str], folders: Collection[str] = ()) -> None:
@@ -305,6 +224,40 @@ def home_of(target: Path) -> Path:
 def hidden(target: Path) -> str:
     """How the names of all that is beside an output begin."""
     return f".{target.name[:NAME_SHOWN]}{OURS}"
+
+
+def keep_mode(source: Path, target: Path) -> None:
+    """Give a file or folder the permissions and, as far as the user may, the group of another."""
+    with suppress(PermissionError):
+        os.chown(target, -1, source.stat().st_gid)
+    shutil.copymode(source, target)
+
+
+def sync(path: Path) -> None:
+    """Have a file, or the list of names of a folder, written through to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _sync_tree(folder: Path) -> None:
+    """Have a folder and all that is in it written through to the disk, but for files of the user's that nobody may read."""
+    for place, _, names in os.walk(folder):
+        for path in map(Path(place).joinpath, names):
+            if path.is_file() and not path.is_symlink():
+                with suppress(PermissionError):
+                    sync(path)
+        sync(Path(place))
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, a link, or a folder with all that is in it, if it is there."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 @contextmanager

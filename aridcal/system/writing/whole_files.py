@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import re
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,27 +11,24 @@ from pathlib import Path
 from typing import Literal
 
 from aridcal.system.errors import OutputError
-from aridcal.system.writing import disk
 from aridcal.system.writing.lock import held, is_mine
 from aridcal.system.writing.signals import undisturbed
 from aridcal.system.writing.staging import (
     LOCK,
-    NAME_SHOWN,
     NEW,
     can_be_swapped,
     check_names,
     clear_up,
     hidden,
     home_of,
+    keep_mode,
     named,
     put_in_place,
     staged,
+    sync,
 )
 
 Kind = Literal["folder", "file"]
-
-MOST_LINKS = 40
-"""One after another, as many as Linux follows."""
 
 
 def check_writable(path: Path, kind: Kind | None = None) -> None:
@@ -91,7 +87,7 @@ def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collec
     parents: list[Path] = []
     with ExitStack() as ends:
         with named(path):
-            target = _place(path) if kind == "folder" else Path(os.path.realpath(path))
+            target = _place(path)
             parents += [parent for parent in (target.parent, *target.parent.parents) if not parent.exists()]
             ends.callback(_remove_empty, parents)
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -135,17 +131,16 @@ def atomic_file(path: Path) -> Iterator[Path]:
         OutputError: the path cannot be written.
     """
     with claimed(path, "file"):
-        target = Path(os.path.realpath(path))
+        target = _place(path)
         with staged(target, target.parent, path) as stage:
             built = stage / target.name
             yield built
             with named(path):
                 if target.exists():
-                    disk.keep_mode(target, built)
-                disk.sync(built)
-                with undisturbed():
-                    disk.rename(built, target)
-                    disk.sync(target.parent)
+                    keep_mode(target, built)
+                sync(built)
+                built.replace(target)
+                sync(target.parent)
 
 
 @contextmanager
@@ -198,27 +193,18 @@ def atomic_table(path: Path, beside: Sequence[str]) -> Iterator[Path]:
 def _built(target: Path, path: Path, swap: bool, replaces: Collection[str], first: str = "") -> Iterator[Path]:
     """An empty folder; what is written into it is put in its place."""
     with staged(target, home_of(target) if swap else target, path) as stage:
-        with named(path):
-            disk.make_folder(stage / NEW)
+        (stage / NEW).mkdir()
         yield stage / NEW
         with named(path):
             put_in_place(stage, target, replaces, swap, first)
 
 
 def _place(path: Path) -> Path:
-    """The folder behind a path; links are followed, but for one that stands for a version of the folder."""
-    place = path if path.name not in ("", "..") else Path(os.path.realpath(path))
-    for _ in range(MOST_LINKS):
-        place = Path(os.path.realpath(place.parent)) / place.name
-        if not place.is_symlink():
-            return place
-        to = str(place.readlink())
-        if re.fullmatch(re.escape(place.name[:NAME_SHOWN]) + "-[0-9a-f]{8}", to):
-            return place
-        place = place.parent / to
-        if place.name in ("", ".."):
-            return Path(os.path.realpath(place))
-    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+    """The file or folder behind a path; links are followed."""
+    place = Path(os.path.realpath(path))
+    if place.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
+    return place
 
 
 def _nearest_existing(path: Path) -> Path:

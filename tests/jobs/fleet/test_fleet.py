@@ -654,15 +654,14 @@ def test_a_worker_and_the_scheduler_die_and_every_task_is_answered_once(
     assert any("connection to the scheduler broke" in line for line in said)
 
 
-def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scheduler_that_stays_away_is_said_to_be_gone(tmp_path: Path) -> None:
     file = tmp_path / "head.json"
     head = subprocess.Popen(
         [*SCHEDULER, "--port", "0", "--scheduler-file", str(file)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    with dask_engine(announced(file, head), SILENT, patience=0.5) as engine:
+    with dask_engine(announced(file, head), SILENT, patience=5.0) as engine:
         head.kill()
         head.wait()
-        monkeypatch.setattr("aridcal.jobs.fleet.cluster.ANSWER", 1.0)  # nobody is there whom more time would help
         with pytest.raises(EngineGone, match="did not come back"):
             list(engine(str.upper, {"a": "a"}))
