@@ -107,7 +107,9 @@ def default(field: FieldInfo) -> str:
             return ""
         shown = ", ".join(f"{each:g}" if isinstance(each, float) else str(each) for each in value)
         return f"`[{shown}]`" if len(shown) < 60 else "`all`"
-    return f"`{value:g}`" if isinstance(value, float) else f"`{str(value).lower() if isinstance(value, bool) else value}`"
+    return (
+        f"`{value:g}`" if isinstance(value, float) else f"`{str(value).lower() if isinstance(value, bool) else value}`"
+    )
 
 
 def rows(model: type[Section], begin: str) -> Iterator[tuple[str, str, str, str]]:
