@@ -10,7 +10,6 @@ import ast
 import inspect
 import textwrap
 import types
-import typing
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -25,8 +24,8 @@ PAGE = Path(__file__).resolve().parent / "campaign-keys.md"
 
 BEGINNING = """# Keys of a campaign
 
-Every key of `campaign.yaml`, with its default. [Formats](formats.md#1-the-campaign-campaignyaml) has an example and the rules behind
-the keys. A scenario has the same keys and [`truth`](simulate.md). This page is made from the models that read the file
+Every key of `campaign.yaml`, with its default. [Formats](formats.md#1-the-campaign-campaignyaml) has an example, and the rules
+behind the keys. A scenario has the same keys, and [`truth`](simulate.md). This page is made from the models that read the file
 (`python docs/keys.py`): change their docstrings, not this text.
 
 NAME stands for a name of yours, FRAME for one of two. Of a list of mappings the keys of each are given.
