@@ -1,4 +1,4 @@
-"""What `mkdocs build` adds to the pages of this folder: the start page, the commands' help, and the notebooks, run."""
+"""What `mkdocs build` adds to the pages of this folder: the start page, how to contribute, commands' help, notebooks, run."""
 
 from __future__ import annotations
 
@@ -23,13 +23,19 @@ TOP = Path(__file__).resolve().parents[1]
 RUN = os.environ.get("ARIDCAL_DOCS_RUN", "1") == "1"
 """Whether notebooks are run; `ARIDCAL_DOCS_RUN=0` shows them as they are, which is quick."""
 
+OF_THE_TOP = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md"}
+"""Pages of the site that are files of the repository's top folder."""
+
+FROM_THE_TOP = {source: page for page, source in OF_THE_TOP.items()}
+
 COLOUR = re.compile(r"\x1b\[[\d;]*m")
 log = get_plugin_logger("aridcal")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from something else."""
-    made = {"index.md": (TOP / "README.md").read_text("utf-8"), "commands.md": commands_page()}
+    made = {page: (TOP / source).read_text("utf-8") for page, source in OF_THE_TOP.items()}
+    made["commands.md"] = commands_page()
     for path in sorted((TOP / "notebooks").glob("*.ipynb")):
         made |= notebook_page(path)
     for name, content in made.items():
@@ -41,14 +47,14 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Links are those of the repository; of one that leads out of the site the text remains."""
     own = page.file.src_uri
     above = posixpath.dirname(own)
-    folder = "" if own == "index.md" else "notebooks" if above == "notebooks" else posixpath.join("docs", above)
+    folder = "" if own in OF_THE_TOP else "notebooks" if above == "notebooks" else posixpath.join("docs", above)
 
     def link(match: re.Match[str]) -> str:
         text, target, anchor = match.groups("")
         if not target or "://" in target:
             return match[0]
         path = posixpath.normpath(posixpath.join(folder, target)).removeprefix("docs/")
-        path = re.sub(r"^(notebooks/.*)\.ipynb$", r"\1.md", path.replace("README.md", "index.md"))
+        path = re.sub(r"^(notebooks/.*)\.ipynb$", r"\1.md", FROM_THE_TOP.get(path, path))
         if files.get_file_from_path(path) is None:
             return text.strip("![]")
         return f"{text}({posixpath.relpath(path, posixpath.dirname(own) or '.')}{anchor})"

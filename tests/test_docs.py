@@ -9,7 +9,7 @@ import re
 import subprocess
 import sys
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -21,6 +21,7 @@ import yaml
 from aridcal.__main__ import COMMANDS
 from aridcal.engine.corrections.catalogue import KINDS
 from aridcal.engine.corrections.smooth import Kernel
+from aridcal.files.campaign import Campaign
 
 TOP = Path(__file__).resolve().parents[1]
 DOCS = TOP / "docs"
@@ -160,6 +161,19 @@ def test_every_number_that_the_search_decides_by_is_in_the_documents_with_its_re
     assert not (idle := [key for key in written if key not in constants]), idle
 
 
+def test_the_keys_of_a_campaign_are_those_of_the_models():
+    """Every key that a campaign may have stands in the page, as `python docs/keys.py` writes it."""
+    spec = spec_from_file_location("keys", DOCS / "keys.py")
+    keys = module_from_spec(spec)
+    spec.loader.exec_module(keys)
+    assert keys.PAGE.read_text("utf-8") == keys.page(), "run `python docs/keys.py`"
+    sections = re.findall(r"^## (\w+)$", keys.page(), re.MULTILINE)
+    assert set(sections) == {field.alias or name for name, field in Campaign.model_fields.items()}
+    for section, example in (("robot", "coupled"), ("measurements", "table.dates.order"), ("region", "tool")):
+        of_section = keys.page().split(f"## {section}\n")[1].split("\n## ")[0]
+        assert f"| `{example}` | " in of_section
+
+
 def test_the_readme_and_the_formats_name_every_command():
     for page in ("README.md", "docs/formats.md"):
         text = (TOP / page).read_text("utf-8")
@@ -169,7 +183,12 @@ def test_the_readme_and_the_formats_name_every_command():
 def test_the_site_has_every_page_in_its_menu():
     menu = yaml.safe_load((TOP / "mkdocs.yml").read_text("utf-8"))["nav"]
     named = set(re.findall(r"[\w/-]+\.md", json.dumps(menu)))
-    made = {"index.md", "commands.md", *(f"notebooks/{path.stem}.md" for path in TOP.glob("notebooks/*.ipynb"))}
+    made = {
+        "index.md",
+        "contributing.md",
+        "commands.md",
+        *(f"notebooks/{path.stem}.md" for path in TOP.glob("notebooks/*.ipynb")),
+    }
     assert named == made | {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
