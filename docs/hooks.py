@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import base64
 import importlib
+import itertools
 import os
 import posixpath
 import re
+import textwrap
 from pathlib import Path
 
 import nbformat
@@ -27,6 +29,9 @@ OF_THE_TOP = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md"}
 """Pages of the site that are files of the repository's top folder."""
 
 FROM_THE_TOP = {source: page for page, source in OF_THE_TOP.items()}
+
+WIDTH = 80
+"""Characters of a line of code that a page shows beside its two columns at 1,280 pixels."""
 
 COLOUR = re.compile(r"\x1b\[[\d;]*m")
 log = get_plugin_logger("aridcal")
@@ -62,6 +67,18 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     return re.sub(r"(!?\[[^\]]*\])\(([^)#\s]*)(#[^)]*)?\)", link, markdown)
 
 
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Cells of tables carry their headings: on a phone each row is shown as a card (tables.css)."""
+
+    def labelled(table: re.Match[str]) -> str:
+        heads = [re.sub(r"<[^>]*>", "", head) for head in re.findall(r"<th[^>]*>(.*?)</th>", table[0], re.DOTALL)]
+        labels = itertools.cycle(heads if len(heads) > 2 else ["", ""])
+        marked = re.sub(r"<td", lambda _: f'<td data-label="{next(labels)}"', table[0])
+        return marked.replace("<table>", "<table data-cards>", 1)
+
+    return re.sub(r"<table>.*?</table>", labelled, html, flags=re.DOTALL)
+
+
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
     """The theme loads one script from elsewhere, for the search on file://; it is shipped with the site instead."""
     here = posixpath.relpath("javascripts/iframe-worker.js", posixpath.dirname(page.file.src_uri) or ".")
@@ -75,16 +92,31 @@ def on_post_template(output: str, template_name: str, config: MkDocsConfig) -> s
 
 def commands_page() -> str:
     """Each command's own help."""
-    os.environ["COLUMNS"] = "100"
+    os.environ["COLUMNS"] = str(WIDTH + 2)  # argparse leaves two columns free
     parts = [
         "# Commands",
-        f"```text\n{USAGE}\n```",
+        f"```text\n{_narrow(USAGE)}\n```",
         "Exit status: 0 done, 1 a bug, 2 bad input or use, 3 done and the answer is no, 130 after Ctrl-C, 143 after SIGTERM.",
     ]
     for command in COMMANDS:
         own = importlib.import_module(f"aridcal.{command}").parser()
-        parts.append(f"## aridcal {command}\n\n```text\n{own.format_help().rstrip()}\n```")
+        parts.append(f"## aridcal {command}\n\n```text\n{_narrow(own.format_help().rstrip())}\n```")
     return "\n\n".join(parts)
+
+
+def _narrow(text: str) -> str:
+    """Text with its paragraphs filled anew, and the second column of its lists under itself."""
+    paragraphs = []
+    for paragraph in text.split("\n\n"):
+        lines = paragraph.splitlines()
+        if len(lines[-1:]) and not any(line.startswith(" ") for line in lines):
+            lines = textwrap.wrap(paragraph, WIDTH)
+        for k, line in enumerate(lines):
+            column = re.match(r"\s*(?:\S+\s{2,})?", line)
+            behind = " " * (column.end() if column else 0)
+            lines[k] = "\n".join(textwrap.wrap(line, WIDTH, subsequent_indent=behind, break_on_hyphens=False))
+        paragraphs.append("\n".join(lines))
+    return "\n\n".join(paragraphs)
 
 
 def notebook_page(path: Path) -> dict[str, str | bytes]:
