@@ -79,7 +79,8 @@ class ArmSettings(Section):
     urdf: RelativePath
     """Nominal model: a URDF, or a xacro file (`pip install "aridcal[xacro]"`)."""
     base: str | None = None
-    """Link where the chain starts, any of the tree; default: the URDF's root."""
+    """Link where the chain starts, any of the tree; default: the URDF's root. Where the base itself tilts, one below
+    the joint that tilts it."""
     tip: str
     """Link where the chain ends."""
     packages: dict[str, RelativePath] = Field(default_factory=dict)
@@ -87,9 +88,16 @@ class ArmSettings(Section):
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
     """Arguments of a xacro file."""
     joints: dict[str, Number] = Field(default_factory=dict)
-    """Where joints without a column stand in all rows, rad or m as the URDF counts: `{waist_yaw: 0.0}`."""
+    """Where joints without a column stand in all rows, rad or m as the URDF counts: `{waist_yaw: 0.0}`. A table that
+    has such a column is refused, measurements and queries alike: delete the joint here, or list the column under
+    `measurements.ignore`. Their constants are identified like others; what only their motion could tell apart is
+    redundant. Words for a posture in robot programs are not understood where joints stand still."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
-    """Joints without a column that follow several others, with their factors: `{knuckle: {finger: 0.5, thumb: -0.5}}`."""
+    """Joints without a column that follow several others, as the sum of factor × reading: `{knuckle: {finger: 0.5,
+    thumb: -0.5}}`. Refused, as under `joints`, for a joint that is not in the URDF or does not move, has a `<mimic>`,
+    stands under both, or follows itself. One that is followed and is on no path needs a column all the same; one that
+    follows others itself is replaced by them. The joint's own `<limit>` is not looked at; a zero that is not 0 is a
+    constant, and is identified. Robot programs of such an arm are refused."""
 
     @property
     def stated(self) -> Stated:
@@ -101,9 +109,11 @@ class RobotSettings(ArmSettings):
     """The robot of a campaign, and where down is."""
 
     tip: str = ""
-    """Link where the default path ends. May be left out where things under `instruments`, or `links`, name links."""
+    """Link where the default path ends. Left out: the link of the first of `targets`, else of `cameras`, that is on
+    one, else the second of `links` of the first `joined` block."""
     gravity: Literal["world"] | Vector3 = LEVEL_GRAVITY
-    """In the base frame, m/s²; `world`: along -z of the levelled world frame."""
+    """In the base frame, m/s²; `world`: along -z of the levelled world frame, turned by the identified `world_base`
+    (each station's). Joints on the path that tilt the arm need nothing."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
     """For robot programs: what the controller shows where the URDF's joint is at 0, rad or m."""
 
@@ -134,7 +144,10 @@ class FrameSettings(Placement):
     identify: bool = True
     """`false`: `xyz` and `rpy` are exact."""
     per: Literal["station"] | None = None
-    """`station`: one frame for each value of that column."""
+    """`station`: one frame for each value of that column. `world_base` per station is for trackers: rows of positions
+    and poses need the column, rows from link to link do not, queries name `station` and `target`; rows that refer to
+    things in the world are refused beside it: label what stands elsewhere at each station. `tip_target` per station is
+    refused where there are targets: a target that was moved gets a new label."""
 
     @model_validator(mode="after")
     def _known_frames_are_one(self) -> FrameSettings:
@@ -155,7 +168,8 @@ class Frames(Section):
     world_base: FrameSettings = FrameSettings()
     """Where the robot stands in the instrument's frame."""
     tip_target: FrameSettings = FrameSettings()
-    """Where the measured target is on the tip; refused for `camera_sonar` and for `pixels` alone."""
+    """Where the measured target is on the tip; refused for `camera_sonar` and for `pixels` alone. Of `kind: position`
+    its rotation stays at the hint."""
 
 
 class ParameterSettings(Section):
@@ -241,7 +255,7 @@ class PayloadSettings(Section):
     """A mass that hangs at the origin of a link."""
 
     column: str = "payload"
-    """Column of the tables, kg."""
+    """Column of the tables, kg; refused if none has it."""
     on: str
     """Link at whose origin it hangs, in place of the default path's target."""
 
@@ -267,9 +281,12 @@ class Job(Settings):
     measurements: Annotated[MeasurementSettings, WrapValidator(_first_listed)] = MeasurementSettings()
     """One block, or a list of blocks of several kinds."""
     instruments: InstrumentSettings = InstrumentSettings()
-    """What is known beforehand of the things that rows refer to. What is identified need not be there; if so it is a hint."""
+    """What is known beforehand of the things that rows refer to. What is identified need not be there; if so it is a
+    hint."""
     payload: Payloads = ()
-    """Payloads and their links, one or a list, if there is not just one at the target of the default path."""
+    """Payloads and their links, one or a list. Every joint that bears the link has its torque; of several, effects
+    call them `payload_LINK`, and `JOINT.payload_torque` is of all. Without this key a column `payload` hangs on the
+    tip at the target; of several targets, where the first of them is on its link."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
@@ -432,8 +449,11 @@ class Campaign(Job):
     design: DesignSettings = DesignSettings()
     """For `aridcal design` alone."""
     about: About | None = None
-    """For the certificate, which is written where this is there: text on one line, 120 characters (500 of the last three)."""
+    """For the certificate, which is written where this is there: text on one line, 120 characters (500 of the last
+    three), without control characters and those that turn the direction of writing."""
     region: Region = Region()
+    """Where the target is to be known. Without `file` and `joints`: what was measured of the box of all ranges seen (for `aridcal
+    design`, before any row: of what the limits allow)."""
     tolerance: Annotated[ToleranceSettings, BeforeValidator(position_alone)] | None = None
     """How far the target may be off in 95 % of the region: `0.2mm`, or both keys below; `--tolerance` goes before it."""
 

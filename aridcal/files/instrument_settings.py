@@ -269,11 +269,14 @@ class InstrumentSettings(Section):
     """Prior knowledge of all things."""
 
     targets: dict[str, TargetSettings] = Field(default_factory=dict)
-    """Targets that the column `target` names."""
+    """Targets that the column `target` names, each with its own `tip_target`. If any block has targets or a frame on
+    the tip, the others do: rows without the column are of `target`, pixels and joined links of `tip` (the link's
+    frame), inclinations of one called after the block."""
     points: Annotated[PointSettings, BeforeValidator(_as_points)] = PointSettings()
     """Known points: a file alone, or both keys. Others are unknown."""
     lengths: tuple[LengthSettings, ...] = ()
-    """Known distances: they give the scale."""
+    """Known distances: they give the scale. Refused where they contradict each other or known coordinates by more than
+    3 sigmas."""
     anchors: dict[str, AnchorSettings] = Field(default_factory=dict)
     """Fixed ends of wires, ballbars, distance sensors."""
     planes: dict[str, PlaneSettings] = Field(default_factory=dict)
@@ -281,11 +284,13 @@ class InstrumentSettings(Section):
     perpendicular: tuple[Annotated[RightAngleSettings, BeforeValidator(_pair)], ...] = ()
     """Pairs of planes at right angles."""
     cameras: dict[str, ArmCameraSettings] = Field(default_factory=dict)
-    """After OpenCV's model; required for `pixels`. `xyz rpy` is its place on what carries it."""
+    """After OpenCV's model; required for `pixels`. `xyz rpy` is its place on what carries it. What is identified of a
+    lens may be absent, and starts as in an ordinary webcam."""
     markers: Annotated[tuple[MarkerSettings, ...], BeforeValidator(_as_boards), Field(min_length=1)] = (
         MarkerSettings(),
     )
-    """One board, or a list of boards, each on a carrier of its own."""
+    """One board, or a list of boards, each on a carrier of its own: `[{file: left.csv, on: left_hand}, {file:
+    right.csv, on: right_hand}]`; a marker is on one of them."""
 
     @property
     def declared(self) -> dict[str, Mapping[str, AnchorSettings | PlaneSettings | ArmCameraSettings]]:

@@ -315,7 +315,8 @@ class JointColumn(Section):
     sign: Literal[1, -1] = 1
     """-1: the column grows where the URDF's joint falls."""
     zero: str | None = None
-    """What the column shows where the URDF's joint is at 0, with its unit, `90deg`; the joint is sign × (column - zero)."""
+    """What the column shows where the URDF's joint is at 0, with its unit, `90deg`; the joint is sign × (column -
+    zero)."""
 
     @field_validator("sign", mode="before")
     @classmethod
@@ -365,15 +366,25 @@ class MeasurementSettings(Section):
     joint_reading: Literal["reported", "commanded"] | None = None
     """Kind of the joints' values; `compensate` gives the same kind."""
     links: tuple[str, str] | None = None
-    """The two links that hold one body, for `kind: joined`."""
+    """The two links that hold one body, for `kind: joined`; rows need the joints between them. A body put down and
+    taken up again is another grasp; one row of a grasp tells nothing of the arms; their common scale takes a length (a
+    ballbar, a tracker)."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
-    """Column of a joint or a quantity where the names differ: `{x: "Tool X"}`; needed for a joint called `x`, `time`, …"""
+    """Column of a joint or a quantity where the names differ: `{x: "Tool X"}`; needed for a joint called `x`, `time`,
+    …"""
     units: Units = Units()
     joints: dict[str, JointColumn] = Field(default_factory=dict)
-    """Joints whose columns count backwards or from another zero: `{joint_3: {sign: -1, zero: 90deg}}`."""
+    """Joints whose columns count backwards or from another zero: `{joint_3: {sign: -1, zero: 90deg}}`. It holds for
+    all tables of the campaign and its calibration: queries, commands, regions, corrections, plans and their programs,
+    and the sign of `JOINT_direction`. Programs to be corrected count from the same zeros unless `controller_zeros` or
+    `--zeros` says otherwise; with `sign: -1` they need `controller_zeros` of that joint. Limits, constants, zeros in
+    the report and waypoints are of the URDF's joints."""
     inverted: Literal["pose", "orientation"] | None = None
-    """What the tables hold inverted: T_target_world as a whole, or its orientation alone; for `kind: pose`."""
+    """What the tables hold inverted: T_target_world as a whole, or its orientation alone; for `kind: pose`. `predict`
+    writes poses so, `compensate` reads them so; `noise` and the `std_*` that `predict` writes are of the target in the
+    world. `std_*` of measured rows are refused where they would be of what is inverted: write `noise: {rows:
+    ignore}`."""
     table: TableSettings = TableSettings()
     """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()

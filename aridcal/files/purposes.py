@@ -51,7 +51,8 @@ class DesignSettings(Section):
     """Constraints of planned configurations beside the joints' limits."""
 
     keep_out: tuple[Box, ...] | None = None
-    """Boxes in the base frame that neither the arm nor its target may enter; default: the plane that the arm is mounted on."""
+    """Boxes in the base frame that neither the arm nor its target may enter; default: the plane that the arm is
+    mounted on."""
     sight: SightSettings | None = None
     """Instrument that must see the target past the arm and the boxes."""
 
