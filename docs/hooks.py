@@ -1,12 +1,14 @@
-"""What `mkdocs build` adds to the pages of this folder: the start page, the commands' help, and the notebooks, run."""
+"""What `mkdocs build` adds to the pages of this folder: the start page, how to contribute, commands' help, notebooks, run."""
 
 from __future__ import annotations
 
 import base64
 import importlib
+import itertools
 import os
 import posixpath
 import re
+import textwrap
 from pathlib import Path
 
 import nbformat
@@ -23,13 +25,22 @@ TOP = Path(__file__).resolve().parents[1]
 RUN = os.environ.get("ARIDCAL_DOCS_RUN", "1") == "1"
 """Whether notebooks are run; `ARIDCAL_DOCS_RUN=0` shows them as they are, which is quick."""
 
+OF_THE_TOP = {"index.md": "README.md", "contributing.md": "CONTRIBUTING.md"}
+"""Pages of the site that are files of the repository's top folder."""
+
+FROM_THE_TOP = {source: page for page, source in OF_THE_TOP.items()}
+
+WIDTH = 80
+"""Characters of a line of code that a page shows beside its two columns at 1,280 pixels."""
+
 COLOUR = re.compile(r"\x1b\[[\d;]*m")
 log = get_plugin_logger("aridcal")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the pages that are made from something else."""
-    made = {"index.md": (TOP / "README.md").read_text("utf-8"), "commands.md": commands_page()}
+    made = {page: (TOP / source).read_text("utf-8") for page, source in OF_THE_TOP.items()}
+    made["commands.md"] = commands_page()
     for path in sorted((TOP / "notebooks").glob("*.ipynb")):
         made |= notebook_page(path)
     for name, content in made.items():
@@ -41,19 +52,31 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
     """Links are those of the repository; of one that leads out of the site the text remains."""
     own = page.file.src_uri
     above = posixpath.dirname(own)
-    folder = "" if own == "index.md" else "notebooks" if above == "notebooks" else posixpath.join("docs", above)
+    folder = "" if own in OF_THE_TOP else "notebooks" if above == "notebooks" else posixpath.join("docs", above)
 
     def link(match: re.Match[str]) -> str:
         text, target, anchor = match.groups("")
         if not target or "://" in target:
             return match[0]
         path = posixpath.normpath(posixpath.join(folder, target)).removeprefix("docs/")
-        path = re.sub(r"^(notebooks/.*)\.ipynb$", r"\1.md", path.replace("README.md", "index.md"))
+        path = re.sub(r"^(notebooks/.*)\.ipynb$", r"\1.md", FROM_THE_TOP.get(path, path))
         if files.get_file_from_path(path) is None:
             return text.strip("![]")
         return f"{text}({posixpath.relpath(path, posixpath.dirname(own) or '.')}{anchor})"
 
     return re.sub(r"(!?\[[^\]]*\])\(([^)#\s]*)(#[^)]*)?\)", link, markdown)
+
+
+def on_page_content(html: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Cells of tables carry their headings: on a phone each row is shown as a card (tables.css)."""
+
+    def labelled(table: re.Match[str]) -> str:
+        heads = [re.sub(r"<[^>]*>", "", head) for head in re.findall(r"<th[^>]*>(.*?)</th>", table[0], re.DOTALL)]
+        labels = itertools.cycle(heads if len(heads) > 2 else ["", ""])
+        marked = re.sub(r"<td", lambda _: f'<td data-label="{next(labels)}"', table[0])
+        return marked.replace("<table>", "<table data-cards>", 1)
+
+    return re.sub(r"<table>.*?</table>", labelled, html, flags=re.DOTALL)
 
 
 def on_post_page(output: str, page: Page, config: MkDocsConfig) -> str:
@@ -69,16 +92,31 @@ def on_post_template(output: str, template_name: str, config: MkDocsConfig) -> s
 
 def commands_page() -> str:
     """Each command's own help."""
-    os.environ["COLUMNS"] = "100"
+    os.environ["COLUMNS"] = str(WIDTH + 2)  # argparse leaves two columns free
     parts = [
         "# Commands",
-        f"```text\n{USAGE}\n```",
+        f"```text\n{_narrow(USAGE)}\n```",
         "Exit status: 0 done, 1 a bug, 2 bad input or use, 3 done and the answer is no, 130 after Ctrl-C, 143 after SIGTERM.",
     ]
     for command in COMMANDS:
         own = importlib.import_module(f"aridcal.{command}").parser()
-        parts.append(f"## aridcal {command}\n\n```text\n{own.format_help().rstrip()}\n```")
+        parts.append(f"## aridcal {command}\n\n```text\n{_narrow(own.format_help().rstrip())}\n```")
     return "\n\n".join(parts)
+
+
+def _narrow(text: str) -> str:
+    """Text with its paragraphs filled anew, and the second column of its lists under itself."""
+    paragraphs = []
+    for paragraph in text.split("\n\n"):
+        lines = paragraph.splitlines()
+        if len(lines[-1:]) and not any(line.startswith(" ") for line in lines):
+            lines = textwrap.wrap(paragraph, WIDTH)
+        for k, line in enumerate(lines):
+            column = re.match(r"\s*(?:\S+\s{2,})?", line)
+            behind = " " * (column.end() if column else 0)
+            lines[k] = "\n".join(textwrap.wrap(line, WIDTH, subsequent_indent=behind, break_on_hyphens=False))
+        paragraphs.append("\n".join(lines))
+    return "\n\n".join(paragraphs)
 
 
 def notebook_page(path: Path) -> dict[str, str | bytes]:

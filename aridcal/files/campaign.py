@@ -77,17 +77,27 @@ class ArmSettings(Section):
     """Which chain of which URDF or xacro file."""
 
     urdf: RelativePath
+    """Nominal model: a URDF, or a xacro file (`pip install "aridcal[xacro]"`)."""
     base: str | None = None
-    """Link where the chain starts; `None`: the URDF's root."""
+    """Link where the chain starts, any of the tree; default: the URDF's root. Where the base itself tilts, one below
+    the joint that tilts it."""
     tip: str
+    """Link where the chain ends."""
     packages: dict[str, RelativePath] = Field(default_factory=dict)
-    """Folders of packages of ROS that the URDF names and that are not found by themselves."""
+    """Folders of ROS packages that the URDF names and that are not found by themselves."""
     arguments: dict[str, Annotated[str, BeforeValidator(_as_xacro)]] = Field(default_factory=dict)
     """Arguments of a xacro file."""
     joints: dict[str, Number] = Field(default_factory=dict)
-    """Positions of joints without a column, the same in all rows, rad or m."""
+    """Where joints without a column stand in all rows, rad or m as the URDF counts: `{waist_yaw: 0.0}`. A table that
+    has such a column is refused, measurements and queries alike: delete the joint here, or list the column under
+    `measurements.ignore`. Their constants are identified like others; what only their motion could tell apart is
+    redundant. Words for a posture in robot programs are not understood where joints stand still."""
     coupled: dict[str, dict[str, Number]] = Field(default_factory=dict)
-    """Factors of joints without a column that follow several others."""
+    """Joints without a column that follow several others, as the sum of factor × reading: `{knuckle: {finger: 0.5,
+    thumb: -0.5}}`. Refused, as under `joints`, for a joint that is not in the URDF or does not move, has a `<mimic>`,
+    stands under both, or follows itself. One that is followed and is on no path needs a column all the same; one that
+    follows others itself is replaced by them. The joint's own `<limit>` is not looked at; a zero that is not 0 is a
+    constant, and is identified. Robot programs of such an arm are refused."""
 
     @property
     def stated(self) -> Stated:
@@ -99,11 +109,13 @@ class RobotSettings(ArmSettings):
     """The robot of a campaign, and where down is."""
 
     tip: str = ""
-    """End of the default path; :meth:`Job._tip_is_known` says which it is where a campaign leaves it out."""
+    """Link where the default path ends. Left out: the link of the first of `targets`, else of `cameras`, that is on
+    one, else the second of `links` of the first `joined` block."""
     gravity: Literal["world"] | Vector3 = LEVEL_GRAVITY
-    """In the base frame, m/s²; `world`: along -z of the world frame."""
+    """In the base frame, m/s²; `world`: along -z of the levelled world frame, turned by the identified `world_base`
+    (each station's). Joints on the path that tilt the arm need nothing."""
     controller_zeros: dict[str, Number] = Field(default_factory=dict)
-    """What the controller shows of a joint where its reading is zero, rad or m, where that is not zero; for robot programs."""
+    """For robot programs: what the controller shows where the URDF's joint is at 0, rad or m."""
 
     @field_validator("gravity", mode="before")
     @classmethod
@@ -127,11 +139,15 @@ def _first_listed(value: Any, validate: ValidatorFunctionWrapHandler, about: Val
 
 
 class FrameSettings(Placement):
-    """An unknown or a known frame; of an unknown one, `xyz` and `rpy` are a hint."""
+    """An unknown or a known frame; of an unknown one, `xyz` and `rpy` are a hint, which may be far off."""
 
     identify: bool = True
+    """`false`: `xyz` and `rpy` are exact."""
     per: Literal["station"] | None = None
-    """`station`: one frame for each value of that column."""
+    """`station`: one frame for each value of that column. `world_base` per station is for trackers: rows of positions
+    and poses need the column, rows from link to link do not, queries name `station` and `target`; rows that refer to
+    things in the world are refused beside it: label what stands elsewhere at each station. `tip_target` per station is
+    refused where there are targets: a target that was moved gets a new label."""
 
     @model_validator(mode="after")
     def _known_frames_are_one(self) -> FrameSettings:
@@ -147,16 +163,20 @@ def placed(settings: FrameSettings | TargetSettings) -> EndFrame:
 
 
 class Frames(Section):
-    """T_world_base and T_tip_target."""
+    """T_world_base and T_tip_target, both found from the rows in closed form."""
 
     world_base: FrameSettings = FrameSettings()
+    """Where the robot stands in the instrument's frame."""
     tip_target: FrameSettings = FrameSettings()
+    """Where the measured target is on the tip; refused for `camera_sonar` and for `pixels` alone. Of `kind: position`
+    its rotation stays at the hint."""
 
 
 class ParameterSettings(Section):
     """Which constants are identified."""
 
     set: Literal["full", "doty", "angles", "none"] = "full"
+    """All of each joint's origin; Doty's link parameters; his angles beta and alpha alone; frames only."""
 
 
 def _kinds_with(key: str) -> str:
@@ -168,9 +188,9 @@ class Moment(Section):
     """When something happened once: the first measurement after it, by its line in the file or by its time."""
 
     row: int | None = Field(default=None, ge=2)
-    """Line of the file; of several files, counted on through them."""
+    """First row after it, by its line in the file; of several files, counted on through them."""
     time: float | None = None
-    """[s], as in the column `time`."""
+    """Or by its `time`, s."""
 
     @property
     def number(self) -> float:
@@ -188,17 +208,21 @@ class EffectDeclaration(Section):
     """An effect that the user knows of: what, where, and what the kind needs besides."""
 
     kind: EffectKind
+    """One of the kinds of effects."""
     where: str
+    """A joint, `world_base`, `tip_target`, or what the kind acts at."""
     with_: str | None = Field(default=None, alias="with")
     """The other joint of a `joint_coupling`."""
     by: str | None = None
-    """What a `joint_backlash` switches with; over what a `regional` effect varies: a joint, a column or `place`."""
+    """`direction` or `load` of a `joint_backlash`; over what a `regional` effect varies: a joint, a column, `place`."""
     order: Annotated[tuple[Annotated[float, Field(gt=0, le=1e6)], ...], BeforeValidator(listed)] | None = None
     """Periods in one turn of the joint."""
     motion: Names | None = None
+    """Motions at `where`, if not the usual ones of the kind."""
     covariates: Names | None = None
+    """Columns or loads on which it depends, if not the usual ones."""
     at: Moment | None = None
-    """When a `shift` happened; where it is not said, it is sought."""
+    """When a `shift` happened; without it the row is sought."""
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
@@ -220,18 +244,20 @@ class DiagnosisSettings(Section):
     """Whether to look for effects that nobody declared, and for which."""
 
     enabled: bool = True
+    """`false`: only declared effects are fitted."""
     candidates: Annotated[tuple[EffectKind, ...], BeforeValidator(_all_kinds)] = Field(
         default_factory=lambda: _all_kinds("all")
     )
+    """`all`, or a list of kinds; `[all, regional, residual_field]` for those two as well."""
 
 
 class PayloadSettings(Section):
     """A mass that hangs at the origin of a link."""
 
     column: str = "payload"
-    """Column of the tables, in kg."""
+    """Column of the tables, kg; refused if none has it."""
     on: str
-    """Link of the URDF."""
+    """Link at whose origin it hangs, in place of the default path's target."""
 
 
 Payloads = Annotated[tuple[PayloadSettings, ...], BeforeValidator(listed)]
@@ -253,13 +279,18 @@ class Job(Settings):
     )
     """All blocks where the campaign has a list of them."""
     measurements: Annotated[MeasurementSettings, WrapValidator(_first_listed)] = MeasurementSettings()
-    """The only block, or the first."""
+    """One block, or a list of blocks of several kinds."""
     instruments: InstrumentSettings = InstrumentSettings()
+    """What is known beforehand of the things that rows refer to. What is identified need not be there; if so it is a
+    hint."""
     payload: Payloads = ()
-    """Payloads and their links, if there is not just one at the target of the default path."""
+    """Payloads and their links, one or a list. Every joint that bears the link has its torque; of several, effects
+    call them `payload_LINK`, and `JOINT.payload_torque` is of all. Without this key a column `payload` hangs on the
+    tip at the target; of several targets, where the first of them is on its link."""
     frames: Frames = Frames()
     parameters: ParameterSettings = ParameterSettings()
     effects: tuple[EffectDeclaration, ...] = ()
+    """Effects that you declare: `[{kind: joint_compliance, where: joint_3}]`."""
     diagnosis: DiagnosisSettings = DiagnosisSettings()
     study: StudySettings | None = None
     """For `aridcal study` alone."""
@@ -418,9 +449,13 @@ class Campaign(Job):
     design: DesignSettings = DesignSettings()
     """For `aridcal design` alone."""
     about: About | None = None
-    """For the certificate, which is written where this is there."""
+    """For the certificate, which is written where this is there: text on one line, 120 characters (500 of the last
+    three), without control characters and those that turn the direction of writing."""
     region: Region = Region()
+    """Where the target is to be known. Without `file` and `joints`: what was measured of the box of all ranges seen (for `aridcal
+    design`, before any row: of what the limits allow)."""
     tolerance: Annotated[ToleranceSettings, BeforeValidator(position_alone)] | None = None
+    """How far the target may be off in 95 % of the region: `0.2mm`, or both keys below; `--tolerance` goes before it."""
 
     _tables: tuple[str | Path | pd.DataFrame, ...] = PrivateAttr(default=())
 

@@ -41,7 +41,9 @@ class Placement(Section):
     """A frame, as in URDF: ``xyz`` in [m], ``rpy`` in [rad]."""
 
     xyz: Vector3 = (0.0, 0.0, 0.0)
+    """Translation, m."""
     rpy: Vector3 = (0.0, 0.0, 0.0)
+    """Rotation as in URDF, rad: Rz(yaw) Ry(pitch) Rx(roll)."""
 
     @property
     def homogeneous(self) -> np.ndarray:
@@ -64,18 +66,20 @@ class LengthSettings(Section):
     """A known distance between two points, two anchors or two markers."""
 
     between: tuple[Label, Label]
+    """Two points, two anchors or two markers."""
     length: Positive
-    """[m]"""
+    """m"""
     std: Positive = EXACT_STD
-    """1-sigma, [m]."""
+    """1 sigma, m."""
 
 
 class RightAngleSettings(Section):
     """Two planes that are known to be perpendicular."""
 
     between: tuple[Label, Label]
+    """Two planes; `[table, wall]` alone will do."""
     std: Positive = EXACT_STD
-    """1-sigma of the angle, [rad]."""
+    """1 sigma of the angle, rad."""
 
 
 def _pair(value: Any) -> Any:
@@ -94,15 +98,18 @@ class AnchorSettings(Section):
     """Where a wire, a ballbar or a distance sensor is fixed: reading = scale * distance + offset."""
 
     xyz: Vector3 | None = None
-    """In the world frame or the link's, [m]; a hint if it is identified."""
+    """In the world frame or the link's, m."""
     on: Carrier = WORLD
+    """`world`, `tip` or a link."""
     offset: Number | None = None
-    """[m]; 0 where it is neither stated nor identified."""
+    """m: reading = scale · distance + offset; 0 where it is neither stated nor identified."""
     scale: Positive = 1.0
+    """Of the reading."""
     identify: Annotated[tuple[Literal["place", "offset", "scale"], ...], BeforeValidator(_parts_of_anchor)] = (
         "place",
         "offset",
     )
+    """`true` (`[place, offset]`), `false`, or a list of `place`, `offset`, `scale`."""
 
     @model_validator(mode="after")
     def _somewhere(self) -> AnchorSettings:
@@ -126,11 +133,13 @@ class PlaneSettings(Section):
     """A plane: all x with normal . x = offset."""
 
     normal: Vector3 | None = None
-    """In the world frame or the link's, of any length; a hint if it is identified."""
+    """In the world frame or the link's, of any length."""
     on: Carrier = WORLD
+    """`world`, `tip` or a link."""
     offset: Number | None = None
-    """Along the unit normal, [m]."""
+    """Along the unit normal, m: all x with normal · x = offset."""
     identify: bool = True
+    """`false`: `normal` and `offset` are needed, and exact."""
 
     @field_validator("normal")
     @classmethod
@@ -161,18 +170,23 @@ class ArmCameraSettings(Placement):
     """A camera on the tip or beside the arm, after OpenCV's model; ``xyz`` and ``rpy`` are T_tip_camera or T_world_camera."""
 
     fx: Positive | None = None
+    """Focal length along u, px; may be absent if `f` is identified."""
     fy: Positive | None = None
-    """Focal lengths, [px]."""
+    """Along v, px."""
     cx: Number | None = None
+    """Principal point, px, the middle of the first pixel at 0; may be absent if `c` is identified."""
     cy: Number | None = None
-    """Principal point, [px]; the middle of the first pixel is 0."""
+    """Along v, px."""
     width: Side
+    """Of the images, px."""
     height: Side
-    """Size of the images, [px]."""
+    """Of the images, px."""
     distortion: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3."""
+    """k1, k2, p1, p2, k3 of OpenCV."""
     on: Carrier = TIP
+    """`tip`: it moves, markers stand; `world`: it stands, markers are on the tip; or a link."""
     identify: tuple[Literal["place", "f", "c", "distortion"], ...] = ("place",)
+    """List of `place`, `f` (fx fy), `c` (cx cy), `distortion`."""
 
     @model_validator(mode="after")
     def _complete(self) -> ArmCameraSettings:
@@ -210,10 +224,11 @@ class MarkerSettings(Placement):
     """Markers of a board; ``xyz`` and ``rpy`` are its place, T_world_board or T_tip_board."""
 
     file: RelativePath | None = None
-    """Table of their places in the board's frame: marker, x, y, z; without it each marker is an unknown point."""
+    """Table `marker,x,y,z[,std]` in the board's frame, m: one board. Without it each marker is an unknown point."""
     on: Carrier | None = None
-    """`None`: where the camera is not."""
+    """`world`, `tip` or a link; default: where the camera is not."""
     identify: bool = True
+    """`false`: `xyz rpy`, the board's place on its carrier, is exact."""
 
     @model_validator(mode="after")
     def _of_a_board(self) -> MarkerSettings:
@@ -226,14 +241,16 @@ class TargetSettings(Placement):
     """A target with a name: where it is on what carries it; a hint if it is identified."""
 
     on: Carrier = TIP
+    """`tip` or a link."""
     identify: bool = True
+    """`false`: its place is exact."""
 
 
 class PointSettings(Section):
     """Known points, and what carries them."""
 
     file: RelativePath | None = None
-    """Table of those whose coordinates are known: point, x, y, z, std, and perhaps on."""
+    """Table `point,x,y,z[,std][,on]`, m, of those whose coordinates are known, exactly where `std` is empty."""
     on: Carrier = WORLD
     """Carrier of the points for which the table names none."""
 
@@ -252,15 +269,28 @@ class InstrumentSettings(Section):
     """Prior knowledge of all things."""
 
     targets: dict[str, TargetSettings] = Field(default_factory=dict)
+    """Targets that the column `target` names, each with its own `tip_target`. If any block has targets or a frame on
+    the tip, the others do: rows without the column are of `target`, pixels and joined links of `tip` (the link's
+    frame), inclinations of one called after the block."""
     points: Annotated[PointSettings, BeforeValidator(_as_points)] = PointSettings()
+    """Known points: a file alone, or both keys. Others are unknown."""
     lengths: tuple[LengthSettings, ...] = ()
+    """Known distances: they give the scale. Refused where they contradict each other or known coordinates by more than
+    3 sigmas."""
     anchors: dict[str, AnchorSettings] = Field(default_factory=dict)
+    """Fixed ends of wires, ballbars, distance sensors."""
     planes: dict[str, PlaneSettings] = Field(default_factory=dict)
+    """Planes that are touched."""
     perpendicular: tuple[Annotated[RightAngleSettings, BeforeValidator(_pair)], ...] = ()
+    """Pairs of planes at right angles."""
     cameras: dict[str, ArmCameraSettings] = Field(default_factory=dict)
+    """After OpenCV's model; required for `pixels`. `xyz rpy` is its place on what carries it. What is identified of a
+    lens may be absent, and starts as in an ordinary webcam."""
     markers: Annotated[tuple[MarkerSettings, ...], BeforeValidator(_as_boards), Field(min_length=1)] = (
         MarkerSettings(),
     )
+    """One board, or a list of boards, each on a carrier of its own: `[{file: left.csv, on: left_hand}, {file:
+    right.csv, on: right_hand}]`; a marker is on one of them."""
 
     @property
     def declared(self) -> dict[str, Mapping[str, AnchorSettings | PlaneSettings | ArmCameraSettings]]:

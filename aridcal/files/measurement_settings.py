@@ -108,20 +108,20 @@ Sigma = Annotated[float, Field(ge=FINEST, le=1e3)]
 
 
 class Noise(Section):
-    """1-sigma of the measurement per axis; what is absent is estimated."""
+    """1 sigma per axis, of the channels that the kind has; what is absent is estimated."""
 
     position: Sigma | None = None
-    """[m]"""
+    """m"""
     rotation: Sigma | None = None
-    """[rad]"""
+    """rad"""
     distance: Sigma | None = None
-    """[m]"""
+    """m"""
     pixel: Sigma | None = None
-    """[px]"""
+    """px"""
     inclination: Sigma | None = None
-    """[rad]"""
+    """rad"""
     rows: Literal["relative", "absolute", "ignore"] = "relative"
-    """Meaning of the `std_*` columns."""
+    """The `std_*` columns: only their ratios count and a common scale is estimated; as they are; not at all."""
 
 
 SEPARATORS = {"tab": "\t", "blanks": BLANKS, ",": ",", ";": ";", "|": "|"}
@@ -157,8 +157,9 @@ class DatesSettings(Section):
     """Columns that hold dates or times of day: they become one of seconds."""
 
     order: Literal["ymd", "dmy", "mdy"] = "ymd"
-    """Order of day, month and year where all three are numbers."""
+    """Order of day, month and year where all three are numbers; never guessed."""
     columns: Annotated[tuple[Name, ...], BeforeValidator(listed), Field(min_length=1, max_length=2)]
+    """One column, or two: `[Datum, Uhrzeit]`."""
 
 
 class TableSettings(Section):
@@ -167,21 +168,26 @@ class TableSettings(Section):
     sheet: Name = ""
     """Sheet of a workbook with several; sensor of an `export: robot_calibration`."""
     encoding: Annotated[str, AfterValidator(_of_text)] = "utf-8"
+    """`utf-16`, `cp1252`, … ; a byte order mark is allowed."""
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
+    """`blanks`: any number of them."""
     decimal: Literal[".", ","] = "."
+    """Decimal sign."""
     thousands: Literal["", ".", ",", "'", "blank"] = ""
+    """Sign between groups of three digits; only such groups are read so."""
     header: Annotated[tuple[Line, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
-    """Lines whose cells name the columns, put together with blanks."""
+    """Lines whose cells name the columns, put together with blanks: `[3, 4]` for `Tool X`."""
     first_row: Line | None = None
-    """Line of the first row; `None`: below the header."""
+    """Line of the first row; default: below the header."""
     comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
-    """Beginnings of lines that are no rows."""
+    """Beginnings of lines that are no rows; a header line may begin so."""
     names: tuple[Name, ...] = ()
-    """Names of the columns, in place of a header."""
+    """Names of the columns, in place of a header; then `first_row` says where rows begin."""
     lists: dict[Name, Annotated[tuple[Name, ...], Field(min_length=1)]] = Field(default_factory=dict)
-    """Columns whose cells hold several numbers, and names for these."""
+    """Columns of cells such as `p[0.1, 0.2, …]`, and names for their numbers: `{pose: [x, y, z, rx, ry, rz]}`."""
     dates: DatesSettings | None = None
     export: Literal["", "robot_calibration"] = ""
+    """Samples of ROS's robot_calibration as YAML."""
 
     @model_validator(mode="after")
     def _consistent(self) -> TableSettings:
@@ -220,9 +226,11 @@ class Units(Section):
     """Units of the measurement files."""
 
     length: Annotated[str, one_of(LENGTHS)] = "m"
+    """`m cm mm um in ft`: positions, distances, prismatic joints; never pixels."""
     angle: Annotated[str, one_of(ANGLES)] = "rad"
+    """`rad deg`: joints, Euler angles, rotation vectors, `std_r*`."""
     columns: dict[str, Annotated[str, one_of({**LENGTHS, **ANGLES, **TIMES})]] = Field(default_factory=dict)
-    """Units of single columns that differ from these."""
+    """Of single columns that differ: `{rx: deg, stamp: ms}`; times `s ms us ns min h`."""
 
     @property
     def metres(self) -> float:
@@ -268,7 +276,7 @@ class Orientation(Section):
     """How the files hold orientations. Neither `euler` nor `rotvec` nor `matrix`: as the quaternion `qx qy qz qw`."""
 
     euler: str | None = None
-    """Axes in scipy's letters: capitals turn with the body."""
+    """Axes in scipy's letters: capitals (`XYZ`) turn with the body, small ones (`xyz`) are fixed."""
     columns: tuple[str, str, str] | None = None
     """Columns of the three Euler angles."""
     rotvec: tuple[str, str, str] | None = None
@@ -307,7 +315,8 @@ class JointColumn(Section):
     sign: Literal[1, -1] = 1
     """-1: the column grows where the URDF's joint falls."""
     zero: str | None = None
-    """What the column shows where the URDF's joint is at 0, with its unit; `None`: 0."""
+    """What the column shows where the URDF's joint is at 0, with its unit, `90deg`; the joint is sign × (column -
+    zero)."""
 
     @field_validator("sign", mode="before")
     @classmethod
@@ -343,32 +352,45 @@ class MeasurementSettings(Section):
     """Where the measured rows are and how to read them."""
 
     files: Annotated[tuple[RelativePath, ...], BeforeValidator(listed)] = Field(default=(), alias="file")
+    """Table or tables: `.csv`, `.parquet`, `.xlsx`, or text with `table`; required, but for `camera_sonar`."""
     head: RelativePath | None = None
-    """Settings of the measuring head; for `kind: camera_sonar`."""
+    """`head.yaml` of the measuring head, for `kind: camera_sonar`, in place of `file`."""
     kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
+    """Kind of measurement."""
     name: str | None = None
-    """Name of the block; `None`: its kind."""
+    """Name of the block; default: its kind. Two blocks of one kind need names."""
     camera: str | None = None
     """Camera that took the images, where the table of `pixels` has no column `camera`."""
     target: str | None = None
     """Target that was measured, where the table has no column `target`."""
     joint_reading: Literal["reported", "commanded"] | None = None
-    """Whether the joints' columns are what the controller reports or what it was commanded; `None`: not stated."""
+    """Kind of the joints' values; `compensate` gives the same kind."""
     links: tuple[str, str] | None = None
-    """Links between which all rows are; for `kind: joined`."""
+    """The two links that hold one body, for `kind: joined`; rows need the joints between them. A body put down and
+    taken up again is another grasp; one row of a grasp tells nothing of the arms; their common scale takes a length (a
+    ballbar, a tracker)."""
     noise: Noise = Noise()
     columns: dict[str, str] = Field(default_factory=dict)
-    """Column of a joint or a quantity where the two names differ."""
+    """Column of a joint or a quantity where the names differ: `{x: "Tool X"}`; needed for a joint called `x`, `time`,
+    …"""
     units: Units = Units()
     joints: dict[str, JointColumn] = Field(default_factory=dict)
-    """Joints whose columns count otherwise than the URDF: backwards, or from another zero."""
+    """Joints whose columns count backwards or from another zero: `{joint_3: {sign: -1, zero: 90deg}}`. It holds for
+    all tables of the campaign and its calibration: queries, commands, regions, corrections, plans and their programs,
+    and the sign of `JOINT_direction`. Programs to be corrected count from the same zeros unless `controller_zeros` or
+    `--zeros` says otherwise; with `sign: -1` they need `controller_zeros` of that joint. Limits, constants, zeros in
+    the report and waypoints are of the URDF's joints."""
     inverted: Literal["pose", "orientation"] | None = None
-    """Quantity that the tables hold inverted: T_target_world as a whole, or its orientation alone; `None`: nothing."""
+    """What the tables hold inverted: T_target_world as a whole, or its orientation alone; for `kind: pose`. `predict`
+    writes poses so, `compensate` reads them so; `noise` and the `std_*` that `predict` writes are of the target in the
+    world. `std_*` of measured rows are refused where they would be of what is inverted: write `noise: {rows:
+    ignore}`."""
     table: TableSettings = TableSettings()
     """How the files are written, where they are no plain csv."""
     orientation: Orientation = Orientation()
+    """`quaternion`, or one of the keys below."""
     ignore: Names = ()
-    """Columns that are no covariates."""
+    """Columns that are no covariates: row numbers, notes; they need not be there."""
 
     @field_validator("orientation", mode="before")
     @classmethod

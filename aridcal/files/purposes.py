@@ -15,7 +15,9 @@ class Box(Section):
     """A box in the robot's base frame, [m]."""
 
     min: Vector3
+    """Lowest corner, m."""
     max: Vector3
+    """Highest corner, m."""
 
     @model_validator(mode="after")
     def _has_an_inside(self) -> Box:
@@ -28,11 +30,11 @@ class SightSettings(Section):
     """An instrument that must see the target: a tracker, a camera beside the arm."""
 
     at: Vector3
-    """Place of the instrument in the robot's base frame, [m]."""
+    """Place of the instrument in the robot's base frame, m."""
     axis: Vector3 | None = None
-    """In the target's frame: where the target opens to; None: it is seen from anywhere."""
+    """Where the target opens to, in its frame; default: it is seen from anywhere."""
     within: Annotated[float, Field(gt=0.0, le=3.15)] | None = None
-    """Angle between that and the line to the instrument that the target still takes, [rad]."""
+    """Angle from there to the instrument that the target still takes, rad."""
 
     @model_validator(mode="after")
     def _opens_somewhere(self) -> SightSettings:
@@ -49,7 +51,8 @@ class DesignSettings(Section):
     """Constraints of planned configurations beside the joints' limits."""
 
     keep_out: tuple[Box, ...] | None = None
-    """Boxes that neither the arm nor its target may enter; not stated: the plane that the arm is mounted on, if it is known."""
+    """Boxes in the base frame that neither the arm nor its target may enter; default: the plane that the arm is
+    mounted on."""
     sight: SightSettings | None = None
     """Instrument that must see the target past the arm and the boxes."""
 
@@ -89,29 +92,36 @@ class About(Section):
     robot: Line | None = None
     """Maker and type; default: the URDF's name."""
     serial_number: Line | None = None
+    """In quotes: YAML reads `00123` as 83."""
     instrument: Line | None = None
+    """Maker and type."""
     instrument_serial: Line | None = None
+    """Its serial number, in quotes."""
     who: Line | None = None
     """Who measured."""
     organisation: Line | None = None
+    """For whom."""
+    certificate_number: Line | None = None
+    """In quotes."""
     date: Line | None = None
     """Date of the measurement; default: that of the files."""
     environment: Paragraph | None = None
     """Temperature, humidity, time of warming up."""
     method: Paragraph | None = None
+    """How it was measured."""
     notes: Paragraph | None = None
-    certificate_number: Line | None = None
+    """Anything else."""
 
 
 class Region(Section):
     """The region where the target is to be known: configurations, or places of the target; and the point on it."""
 
     file: RelativePath | None = None
-    """Rows of joints, or of x y z, as `aridcal design --region` reads them."""
+    """Rows of joints, or of places `x y z` of the target in the world, in the columns and units of the measurements."""
     joints: dict[str, tuple[Number, Number]] = Field(default_factory=dict)
-    """Lowest and highest reading, in the units of the measurements; of joints that are not named what was seen."""
+    """Or a box of readings, `{joint_1: [0, 2]}`, in the units of the measurements; other joints keep the range seen."""
     tool: Vector3 = (0.0, 0.0, 0.0)
-    """A point that moves with the target, in its axes, [m]."""
+    """A point that moves with the target, in its axes, m: all is then said of it, and `file` has its places."""
 
     @model_validator(mode="after")
     def _is_one(self) -> Region:
@@ -129,6 +139,7 @@ class StudySettings(Section):
     runs: int = Field(default=100, ge=2, le=100_000)
     """Runs of each case."""
     seed: int = Field(default=0, ge=0)
+    """Fixes all draws."""
     rows: Annotated[tuple[Annotated[int, Field(ge=4, le=1_000_000)], ...], BeforeValidator(listed)] = ()
     """Numbers of rows; of a scenario default: its `truth.n`."""
     sizes: Annotated[tuple[Annotated[float, Field(ge=0, le=1e6)], ...], BeforeValidator(listed)] = ()
@@ -146,6 +157,6 @@ class ToleranceSettings(Section):
     """How far the target may be off in 95 % of the region."""
 
     position: Annotated[float, BeforeValidator(lambda text: with_unit(text, LENGTHS, "0.2mm"))]
-    """[m]"""
+    """With its unit: `m cm mm um in ft`."""
     rotation: Annotated[float, BeforeValidator(lambda text: with_unit(text, SMALL_ANGLES, "0.5mrad"))] | None = None
-    """[rad]"""
+    """With its unit: `rad deg mrad`."""

@@ -120,11 +120,13 @@ class Limits(Section):
     """How much is read; raised for files that are large on purpose."""
 
     urdf_mb: float = Field(default=URDF.megabytes, gt=0, le=1e6)
+    """Megabytes of a URDF, also as xacro expands it."""
     table_mb: float = Field(default=TABLE.megabytes, gt=0, le=1e6)
     """Megabytes of a table as a file, and of its cells in memory, eight bytes each."""
     image_mb: float = Field(default=IMAGE.megabytes, gt=0, le=1e6)
+    """Megabytes of an image."""
     image_megapixels: float = Field(default=100.0, gt=0, le=1e6)
-    """No camera that measures has more: 100."""
+    """By its header; no camera that measures has more than 100."""
 
     @property
     def urdf(self) -> Limit:
@@ -146,6 +148,7 @@ class Settings(Section):
     """A whole settings file. Keeps its text and where it came from."""
 
     format: Literal[1]
+    """Version of the file's format."""
     limits: Limits = Limits()
     _path: Path = PrivateAttr(default=Path())
     _text: str = PrivateAttr(default="")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
 import subprocess
 import sys
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
@@ -21,7 +20,7 @@ from repository import ROOT
 
 from aridcal.__main__ import COMMANDS
 from aridcal.engine.corrections.catalogue import KINDS
-from aridcal.engine.corrections.smooth import Kernel
+from aridcal.files.campaign import Campaign
 
 DOCS = ROOT / "docs"
 PAGES = [
@@ -32,21 +31,12 @@ PAGES = [
 ]
 
 
-SEARCH_PAGE = DOCS / "how-the-search-works.md"
-THRESHOLD = re.compile(r"^\| `(\w+)\.([A-Z_0-9]+)` \| ([^|]+) \| [^|]{3,} \|$", re.MULTILINE)
-DECIDING_ROOMS = ("engine/corrections", "engine/fit", "engine/search", "engine/trust")
-OTHER_DECIDERS = (
-    "engine/levels",
-    "jobs/calibrate/gravity_direction",
-    "jobs/calibrate/groups",
-    "jobs/calibrate/pipeline",
-    "jobs/calibrate/verdict",
-    "jobs/calibrate/job_inputs",
-    "engine/rows/split",
-    "engine/rows/repeats",
-)
-NOT_DECIDING = ("Work: ", "Drawn: ")
-"""How the reason of a constant begins that bounds the work, or what is drawn; any other has its row in the page."""
+def made_by(script: str) -> ModuleType:
+    """A script of the documents that makes one of the pages."""
+    spec = spec_from_file_location(script, DOCS / f"{script}.py")
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def text_of(page: Path) -> str:
@@ -94,69 +84,34 @@ def test_every_kind_of_effect_has_its_paragraph_and_its_picture():
     assert [kind for kind in of_instruments if f"| `{kind}` |" not in text] == []
 
 
-def deciding() -> dict[str, str]:
-    """Modules whose constants decide what is found or said: name in the page to place in the package."""
-    inside = {f"{room}/{path.stem}" for room in DECIDING_ROOMS for path in (ROOT / "aridcal" / room).glob("[!_]*.py")}
-    modules = {*inside, *OTHER_DECIDERS}
-    assert len({module.rpartition("/")[2] for module in modules}) == len(modules)
-    return {module.rpartition("/")[2]: module for module in sorted(modules)}
-
-
-def thresholds() -> dict[tuple[str, str], str]:
-    """Rows of the page's tables: (module, name) and the value as it is written."""
-    rows = THRESHOLD.findall(SEARCH_PAGE.read_text("utf-8"))
-    assert len({(module, name) for module, name, _ in rows}) == len(rows)
-    return {(module, name): value for module, name, value in rows}
-
-
-def module_of(path: str) -> ModuleType:
-    return import_module(f"aridcal.{path.replace('/', '.')}")
-
-
-def numbers_of(constant: object) -> list[float]:
-    """A constant as numbers, in order; a kernel is its length."""
-    many = constant if isinstance(constant, tuple | list | np.ndarray) else [constant]
-    return [float(k.length if isinstance(k, Kernel) else k) for k in many]
-
-
-def test_thresholds_in_the_documents_are_those_of_the_code():
-    for (module, name), value in thresholds().items():
-        written = [float(part) for part in value.split(",")]
-        constant = numbers_of(getattr(module_of(deciding()[module]), name))
-        np.testing.assert_allclose(constant, written, rtol=1e-12, err_msg=f"{module}: {name}")
-
-
-def constants_of(module: str) -> dict[str, str]:
-    """Numeric constants of a module by name: their reasons, where a docstring follows, else nothing."""
-    body = ast.parse((ROOT / "aridcal" / f"{module}.py").read_text("utf-8")).body
-    found = {}
-    for node, after in zip(body, [*body[1:], None], strict=True):
-        if isinstance(node, ast.Assign | ast.AnnAssign):
-            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-            documented = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
-            reason = " ".join(str(after.value.value).split()) if documented else ""
-            for name in ast.unparse(target).strip("()").split(", "):
-                constant = getattr(module_of(module), name)
-                first = constant[0] if isinstance(constant, tuple) and constant else constant
-                number = name.isupper() and isinstance(first, int | float | np.ndarray | Kernel)
-                if number and not reason.startswith(NOT_DECIDING):
-                    found[name] = reason
-    return found
-
-
-def test_every_number_that_the_search_decides_by_is_in_the_documents_with_its_reason():
-    """What fails here names the rows that are missing, ready to be pasted, or that say what decides nothing."""
-    constants = {
-        (
-            stem,
-            name,
-        ): f"| `{stem}.{name}` | {', '.join(map(str, numbers_of(getattr(module_of(module), name))))} | {reason} |"
-        for stem, module in deciding().items()
-        for name, reason in constants_of(module).items()
+def test_every_number_that_the_search_decides_by_is_in_the_documents_with_its_reason() -> None:
+    thresholds = made_by("thresholds")
+    page = thresholds.PAGE.read_text("utf-8")
+    assert page == thresholds.page(), "run `python docs/thresholds.py`"
+    rows = re.findall(r"^\| `(\w+)\.([A-Z_0-9]+)` \| ([^|]+) \| [^|]{3,} \|$", page, re.MULTILINE)
+    assert len(rows) == page.count("\n| `") and len({(module, name) for module, name, _ in rows}) == len(rows) > 100
+    of_module = {
+        module.rpartition("/")[2]: module
+        for places in thresholds.ROOMS.values()
+        for module in thresholds.modules(places)
     }
-    written = thresholds()
-    assert not (missing := [row for key, row in constants.items() if key not in written]), "\n".join(missing)
-    assert not (idle := [key for key in written if key not in constants]), idle
+    for module, name, values in rows:
+        constant = getattr(import_module(f"aridcal.{of_module[module].replace('/', '.')}"), name)
+        first = constant[0] if isinstance(constant, tuple) else constant
+        np.testing.assert_allclose(
+            float(getattr(first, "length", first)), float(values.split(",")[0]), rtol=1e-12, err_msg=f"{module}: {name}"
+        )
+
+
+def test_the_keys_of_a_campaign_are_those_of_the_models():
+    """Every key that a campaign may have stands in the page, as `python docs/keys.py` writes it."""
+    keys = made_by("keys")
+    assert keys.PAGE.read_text("utf-8") == keys.page(), "run `python docs/keys.py`"
+    sections = re.findall(r"^## (\w+)$", keys.page(), re.MULTILINE)
+    assert set(sections) == {field.alias or name for name, field in Campaign.model_fields.items()}
+    for section, example in (("robot", "coupled"), ("measurements", "table.dates.order"), ("region", "tool")):
+        of_section = keys.page().split(f"## {section}\n")[1].split("\n## ")[0]
+        assert f"| `{example}` | " in of_section
 
 
 def test_the_readme_and_the_formats_name_every_command():
@@ -168,7 +123,12 @@ def test_the_readme_and_the_formats_name_every_command():
 def test_the_site_has_every_page_in_its_menu():
     menu = yaml.safe_load((ROOT / "mkdocs.yml").read_text("utf-8"))["nav"]
     named = set(re.findall(r"[\w/-]+\.md", json.dumps(menu)))
-    made = {"index.md", "commands.md", *(f"notebooks/{path.stem}.md" for path in ROOT.glob("notebooks/*.ipynb"))}
+    made = {
+        "index.md",
+        "contributing.md",
+        "commands.md",
+        *(f"notebooks/{path.stem}.md" for path in ROOT.glob("notebooks/*.ipynb")),
+    }
     assert named == made | {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 

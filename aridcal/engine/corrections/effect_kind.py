@@ -14,6 +14,8 @@ from aridcal.engine.levels import SLIGHT, STILL
 from aridcal.engine.robot.chain import Joint, Robot
 
 MOVED_ANGLE = 1e-2
+"""[rad] of a joint: over less, any effect of it is a constant."""
+
 LEAST_KNOTS = 4
 """Work: A smooth function of fewer knots than a cubic has coefficients would be no smoother than a cubic."""
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from aridcal.engine.robot.chain import JointKind
 
-SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4  # readings this close repeat one configuration, [rad] and [m]
+SAME_ANGLE, SAME_LENGTH = 1e-3, 1e-4
+"""[rad], [m]: readings this close repeat one configuration: robots return closer, chosen poses differ by more."""
 
 CELLS_OF_A_BOX = 32.0
 """Work: Cells along a box in which repeated rows are looked for: few share one by chance, and few stand at its edge."""
