@@ -50,6 +50,7 @@ CHANGES = ("os.mkdir", "os.rename", "os.remove", "os.rmdir", "os.link", "os.syml
 OWN = re.compile(r"aridcal/(?!__init__|interrupt)\w+\.py")
 """In a traceback: a file of ours that is loaded after signals are watched."""
 
+
 @dataclass(frozen=True)
 class Job:
     """A command over an earlier output.

@@ -85,6 +85,8 @@ def met(
         now = off(q[left], left)
         away = np.linalg.norm(now, axis=1) > 1e-10
         left, now = left[away], now[away]
+        if not len(left):
+            break
         J = np.stack([(off(q[left] + step, left) - now) / 1e-6 for step in 1e-6 * np.eye(q.shape[1])], axis=2)
         q[left] = np.clip(q[left] - np.einsum("njm,nm->nj", np.linalg.pinv(J, rcond=1e-3), now), -1.4, 1.4)
     return q, np.linalg.norm(off(q, rows), axis=1) < 1e-9

@@ -72,12 +72,6 @@ def test_a_declared_map_stays_whatever_else_would_fit(tmp_path: Path) -> None:
     assert ("joint_map", robots.ur10().names[JOINT]) in named(outcome)
 
 
-def test_nothing_is_made_of_rows_without_a_bump(tmp_path: Path) -> None:
-    outcome = outcome_of(tmp_path, 0.1, 0.0, "pose", seed=10)
-    assert named(outcome) == []
-    assert outcome.verdict.word == "noise_floor"
-
-
 def test_a_channel_without_any_noise_is_no_reason_to_stop(tmp_path: Path) -> None:
     """Rotations that a program made, positions that an instrument measured: variances 20 decades apart."""
     rng = np.random.default_rng(11)

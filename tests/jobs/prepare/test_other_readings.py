@@ -15,7 +15,6 @@ import yaml
 from misread import XYZ, Q, Spoil, machine, rotation
 from scipy.spatial.transform import Rotation
 
-import aridcal.identify
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import station_labels
@@ -152,15 +151,3 @@ def test_a_robot_with_large_errors_of_its_own_is_not_refused(
     size, table, sections = TRUE[name]
     truth = machine(getattr(robots, which)(), share, size=size, seed=5)
     judge(tmp_path, truth, table(truth), **sections)
-
-
-def test_the_command_stops_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth = machine(robots.ur10(), 0.1, 60)
-    table = robots.table(truth).rename(columns=ROTATED)
-    path = robots.write_campaign(tmp_path, truth, table, diagnosis={"enabled": True})
-    assert aridcal.identify.main([str(path)]) == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert "scalar-first quaternions" in said
-    assert "`columns: {qx: qy, qy: qz, qz: qw, qw: qx}`" in said
-    assert "candidates" not in said
-    assert not (tmp_path / "results").exists()
