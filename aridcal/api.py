@@ -35,7 +35,7 @@ from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.trials import load_study
 from aridcal.jobs.plan.beforehand import beforehand
-from aridcal.jobs.plan.pose_design import Asked, Plan, as_table, design
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.jobs.prepare.campaign_text import draft
 from aridcal.jobs.prepare.guesses import nobody
@@ -175,7 +175,7 @@ def plan(
     job = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     robot = nominal_robot(job)
     with working() as progress:
-        request = Asked(int(n), optimal, None if region is None else Path(region), tuple(apart))
+        request = PlanRequest(int(n), optimal, None if region is None else Path(region), tuple(apart))
         planned = design(beforehand(job, robot, progress), request, progress)
     return PlannedPoses(planned, job, robot)
 

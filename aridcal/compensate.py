@@ -67,7 +67,7 @@ from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 if TYPE_CHECKING:
     import pandas as pd
 
-    from aridcal.jobs.apply.stretches import Stretch
+    from aridcal.jobs.apply.stretches import TableStretch
 
 
 def parser() -> CommandParser:
@@ -171,7 +171,7 @@ def _compensate(arguments: argparse.Namespace) -> None:
         progress.at("finding the commands")
         for query, stretch in read_queries(calibration, arguments.poses[0], poses=True):
 
-            def told(rows: int, stretch: Stretch = stretch) -> None:
+            def told(rows: int, stretch: TableStretch = stretch) -> None:
                 progress.share(stretch.share(rows))
 
             table = compensate(calibration, query, trajectory, told)

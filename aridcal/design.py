@@ -45,7 +45,7 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.discrimination import duel_lines
-from aridcal.jobs.plan.pose_design import Asked, Plan, design
+from aridcal.jobs.plan.pose_design import Plan, PlanRequest, design
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.runs.plan_files import MOST_PLANNED, PLAN_ENDINGS, check_endings, check_outputs, write_plan
 from aridcal.system.errors import OutputError
@@ -130,7 +130,7 @@ def _design(arguments: argparse.Namespace, out: list[Path]) -> None:
     console, aside = screens(arguments)
     with told_on(aside) as progress:
         setup = beforehand(campaign, robot, progress)
-        request = Asked(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
+        request = PlanRequest(arguments.n, arguments.optimal or "A", arguments.region, arguments.apart)
         plan = design(setup, request, progress)
         write_plan(plan, campaign, robot, out, arguments.settle)
     _report(plan, arguments.apart, out, console)

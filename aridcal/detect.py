@@ -28,7 +28,7 @@ from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.tables import Table, read_tables
 from aridcal.jobs.boards.advice import ENOUGH_IMAGES, advice
 from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_text, known_camera
-from aridcal.jobs.boards.finders import MIRRORED, Found, find
+from aridcal.jobs.boards.finders import MIRRORED, ImageMarks, find
 from aridcal.jobs.boards.grey_images import grey_image, listed_images
 from aridcal.jobs.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
 from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
@@ -51,7 +51,7 @@ COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
 
 
 @dataclass(frozen=True)
-class Seen:
+class BoardImages:
     """Images with the board in them, and images refused.
 
     Attributes:
@@ -61,18 +61,18 @@ class Seen:
         shot: Number of each image, by name.
     """
 
-    good: dict[str, Found]
+    good: dict[str, ImageMarks]
     refused: dict[str, str]
     size: tuple[int, int]
     shot: dict[str, int]
 
-    def without(self, why: dict[str, str]) -> Seen:
+    def without(self, why: dict[str, str]) -> BoardImages:
         """These images with more of them refused, with the reasons ``why`` by name."""
         good = {name: found for name, found in self.good.items() if name not in why}
-        return Seen(good, self.refused | why, self.size, self.shot)
+        return BoardImages(good, self.refused | why, self.size, self.shot)
 
 
-def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
+def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> BoardImages:
     """Find a board in images; those of another size than the first good one are refused: they are of another camera.
 
     Args:
@@ -83,7 +83,7 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
     Raises:
         AridcalError: it is in none of them. The message says why, and what is there instead.
     """
-    good: dict[str, Found] = {}
+    good: dict[str, ImageMarks] = {}
     refused: dict[str, str] = {}
     size = (0, 0)
     for name, path in track(images.items(), "looking", total=len(images), console=console, transient=True):
@@ -100,7 +100,7 @@ def look(images: dict[str, Path], board: AnyBoard, console: Screen) -> Seen:
             refused[name] = str(refusal)
     if not good:
         raise AridcalError(_nothing(images, refused))
-    return Seen(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
+    return BoardImages(good, refused, size, {name: k + 1 for k, name in enumerate(images)})
 
 
 def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
@@ -120,7 +120,7 @@ def _nothing(images: dict[str, Path], refused: dict[str, str]) -> str:
     return f"{sentence}. {hint[0].upper()}{hint[1:]}" if hint else sentence
 
 
-def pixels_table(images: Seen, camera: str) -> pd.DataFrame:
+def pixels_table(images: BoardImages, camera: str) -> pd.DataFrame:
     """All marks as rows: image, camera, marker, u, v, shot."""
     parts = [
         pd.DataFrame(
@@ -204,7 +204,7 @@ def _main(arguments: argparse.Namespace) -> None:
 
 
 def _write(
-    seen: Seen,
+    seen: BoardImages,
     out: Path,
     camera: str,
     known_lens: ArmCameraSettings | None,
@@ -246,7 +246,7 @@ def _write(
     return [*lines, *remarks, *([f"{out.parent / CAMERA}:", text.rstrip()] if text else []), found]
 
 
-def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:
+def _with_own_lens(seen: BoardImages) -> tuple[BoardImages, Lens | None, str]:
     """Estimate the camera's numbers; images that contradict the others are refused, once, and the rest estimated anew."""
     try:
         lens = estimate(list(seen.good.values()), seen.size)
@@ -260,7 +260,7 @@ def _with_own_lens(seen: Seen) -> tuple[Seen, Lens | None, str]:
     return seen, lens, ""
 
 
-def _with_known_lens(seen: Seen, camera: ArmCameraSettings) -> Seen:
+def _with_known_lens(seen: BoardImages, camera: ArmCameraSettings) -> BoardImages:
     """Refuse images that do not show the board as this camera would."""
     if (camera.width, camera.height) != seen.size:
         raise AridcalError(

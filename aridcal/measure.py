@@ -22,7 +22,7 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.quantities import STD
 from aridcal.files.tables import Table
 from aridcal.jobs.head1992.head_settings import POSE_COLUMNS, HeadSettings, range_columns
-from aridcal.jobs.head1992.shots import THUMBNAIL, Measured, load, measure_shots
+from aridcal.jobs.head1992.shots import THUMBNAIL, ShotResult, load, measure_shots
 from aridcal.jobs.head1992.sonar import contradictions
 from aridcal.pages.drawing.html import tag
 from aridcal.system.errors import AridcalError, printable, shortened
@@ -41,7 +41,7 @@ main { display: grid; grid-template-columns: repeat(auto-fill, minmax(256px, 1fr
 figure { margin: 0 } figcaption { font-size: 12px; overflow-wrap: anywhere } .refused { color: #a11 }"""
 
 
-def measured_table(table: Table, results: Sequence[Measured], head: HeadSettings) -> pd.DataFrame:
+def measured_table(table: Table, results: Sequence[ShotResult], head: HeadSettings) -> pd.DataFrame:
     """Write measured shots as rows of ``measurements.csv``: shot, the user's other columns, the pose, its ``std_*``.
 
     Args:
@@ -63,14 +63,14 @@ def measured_table(table: Table, results: Sequence[Measured], head: HeadSettings
     return pd.concat([own, measured], axis=1)
 
 
-def refused_table(table: Table, results: Sequence[Measured]) -> pd.DataFrame:
+def refused_table(table: Table, results: Sequence[ShotResult]) -> pd.DataFrame:
     """Write the shots that were not measured, and rows of the table that could not be read, as rows of ``refused.csv``."""
     shots = [(m.shot.line, m.shot.image, m.why) for m in results if m.why]
     unread = [(remark.row or 0, "", remark.why) for remark in table.refused]
     return pd.DataFrame([*shots, *unread], columns=list(REFUSED_COLUMNS))
 
 
-def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
+def contact_sheet(results: Sequence[ShotResult], title: str) -> Markup:
     """Show all images with what was found in them, as one page that needs nothing else.
 
     Args:
@@ -92,7 +92,7 @@ def contact_sheet(results: Sequence[Measured], title: str) -> Markup:
     return Markup("<!doctype html>") + tag("html", head, body, lang="en")
 
 
-def _found(m: Measured) -> str:
+def _found(m: ShotResult) -> str:
     """Say what a shot shows, and how exactly; nothing for one that was refused."""
     if m.std is None or m.fiducials is None:
         return ""
@@ -101,7 +101,7 @@ def _found(m: Measured) -> str:
     return f"square {m.square}, {count} fiducials, std of the tip {um:.0f} µm, {mrad:.2f} mrad"
 
 
-def sonar_remarks(results: Sequence[Measured], std: float) -> list[str]:
+def sonar_remarks(results: Sequence[ShotResult], std: float) -> list[str]:
     """Say which sonars contradict the camera throughout.
 
     Args:

@@ -27,7 +27,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.catalogue import declared
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.identifiable import identifiable
@@ -102,7 +102,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     robot = load_robot(STRIP.parents[1] / "urdf" / "arid.urdf", "flange")
     optics = Optics(settings.camera.width, settings.camera.height, load_squares(settings.squares))
     start = head_of(settings)
-    seen_by = Observed(robot, {}, (), held=head_things(start).held)
+    seen_by = ObservedRows(robot, {}, (), held=head_things(start).held)
     wrong = [declared(seen_by, e, case) for e in campaign(CASES[case]).effects]
     phi = start.phi
     for e in wrong:

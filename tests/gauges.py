@@ -25,7 +25,7 @@ from aridcal.engine.rows.row_facts import ROLES, Labels
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate import job_inputs, pipeline
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.jobs.head1992.observations import Read
+from aridcal.jobs.head1992.observations import CampaignRows
 
 NOISE = {"position": 1e-4, "distance": 5e-5, "pixel": 0.2, "inclination": 2e-4, "rotation": 2e-4}
 SIZE = 5e-4
@@ -279,5 +279,5 @@ def outcome(folder: Path, of: Arm, data: Dataset, **changes: object) -> Outcome:
     """The rows through the whole pipeline, as if they had been read from a file."""
     job = campaign(folder, of, data, **changes)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(job_inputs, "read_rows", lambda job, *_: Read(job, data))
+        patched.setattr(job_inputs, "read_rows", lambda job, *_: CampaignRows(job, data))
         return pipeline.identify(job)

@@ -23,7 +23,7 @@ from aridcal.files.formats.numbers_seen import is_number, marks
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import Unanswered, nobody
+from aridcal.jobs.prepare.guesses import OpenChoice, nobody
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading.dates import orders, seconds
 from aridcal.system.reading.dialect import Dates, Dialect
@@ -120,7 +120,7 @@ def test_a_question_names_its_key_and_the_answer_given_beforehand_is_kept(tmp_pa
     for wrong, why in (("columns=3", "from 1 to 2"), ("colums=1", "did you mean 'columns'")):
         assert aridcal.init.main([*arguments[:-1], str(tmp_path / "d.yaml"), "--set", wrong]) == 2
         assert why in capsys.readouterr().err
-    with pytest.raises(Unanswered, match="columns"):
+    with pytest.raises(OpenChoice, match="columns"):
         aridcal.propose(known("ur10").urdf, path)
     assert "x: b_x" in aridcal.propose(known("ur10").urdf, path, {"columns": 2}).text
 

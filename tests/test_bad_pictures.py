@@ -240,7 +240,9 @@ def dressed(robot: Robot, more: str, folder: Path) -> Robot:
 
 
 @pytest.fixture(scope="module")
-def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]:
+def attacked(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Robot, tuple[robot_shapes.LinkShape, ...], tuple[str, ...]]:
     """A robot with every bad picture at once, what is drawn of it, and what is said."""
     folder = tmp_path_factory.mktemp("attacked")
     put_files(folder)
@@ -252,7 +254,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, tuple[rob
     return robot, drawn, notices
 
 
-Attacked = tuple[Robot, tuple[robot_shapes.Shape, ...], tuple[str, ...]]
+Attacked = tuple[Robot, tuple[robot_shapes.LinkShape, ...], tuple[str, ...]]
 
 
 def test_there_are_attacks_enough() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from aridcal.engine.corrections.catalogue import KINDS
-from aridcal.files.campaign import Campaign, Job, load_campaign
+from aridcal.files.campaign import Campaign, JobSettings, load_campaign
 from aridcal.files.measurement_settings import LENGTHS
 from aridcal.files.yaml_file import Section, load_settings, parse_settings
 from aridcal.system.errors import CampaignError
@@ -273,7 +273,7 @@ def test_another_settings_file_is_read_by_the_same_rules(tmp_path: Path) -> None
         seed: int = 0
         parameters: dict[str, float]
 
-    class Scenario(Job):
+    class Scenario(JobSettings):
         truth: Truth
 
     path = tmp_path / "scenario.yaml"

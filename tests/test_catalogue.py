@@ -24,13 +24,13 @@ from aridcal.engine.corrections.catalogue import (
     usable_columns,
 )
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed
+from aridcal.engine.corrections.effect_kind import Kind, ObservedRows
 from aridcal.engine.corrections.labels import STATION, label_columns
 from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
 from aridcal.engine.instruments.camera_sonar import Head
 from aridcal.engine.model.model import Model
-from aridcal.files.campaign import EffectDeclaration, Job
+from aridcal.files.campaign import EffectDeclaration, JobSettings
 from aridcal.files.yaml_file import parse_settings
 from aridcal.identify import main as identify
 from aridcal.jobs.head1992.detections import head_things
@@ -87,7 +87,7 @@ LABELS = ("station[a]", "station[b]")
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
+def observed() -> tuple[ObservedRows, Model, np.ndarray, dict[str, np.ndarray]]:
     """A chain with a rail and every column that an effect may want."""
     rng = np.random.default_rng(7)
     robot = robots.random_robot(11, "PRCR")
@@ -100,7 +100,7 @@ def observed() -> tuple[Observed, Model, np.ndarray, dict[str, np.ndarray]]:
     table = covariate_table(robot, q, columns, around, np.zeros(N, dtype=int), {".gravity_", ".payload_"})
     table |= sight_table(robot, q, around.sights, around.gravity, np.zeros(N, dtype=int))
     frames = ((None, robots.random_placement(rng)),)
-    return Observed(robot, table, MEASURED, labels=LABELS), Model(robot, (), frames, frames, around), q, columns
+    return ObservedRows(robot, table, MEASURED, labels=LABELS), Model(robot, (), frames, frames, around), q, columns
 
 
 def effects(kind: str) -> list[Effect]:
@@ -197,7 +197,7 @@ def test_a_kind_has_the_bases_and_the_example_that_its_row_says(kind: str) -> No
     assert used <= {"1", *FORMS}
     head = "measurements: {kind: camera_sonar, head: head.yaml}\n" if is_of_head(kind) else ""
     text = f"format: 1\nrobot: {{urdf: a.urdf, tip: b}}\n{head}effects:\n  - {row.example}\n"
-    (declaration,) = parse_settings(text, Path("campaign.yaml"), Job).effects
+    (declaration,) = parse_settings(text, Path("campaign.yaml"), JobSettings).effects
     assert declaration.kind == kind
 
 
@@ -215,10 +215,10 @@ def test_a_column_with_a_hole_or_without_change_bars_the_effects_that_need_it(sp
         assert spoilt not in good
         assert any(spoilt in b.what for b in barred)
         table = {k: v for k, v in where.table.items() if k != spoilt}
-        assert candidates(Observed(where.robot, table, good), (kind,)) == []
+        assert candidates(ObservedRows(where.robot, table, good), (kind,)) == []
 
 
-def _toy(rows: Observed) -> Iterator[Effect]:
+def _toy(rows: ObservedRows) -> Iterator[Effect]:
     """A joint's error in proportion to the cube of the column ``toy``."""
     if "toy" in rows.measured:
         for j in rows.robot.joints:

@@ -21,7 +21,7 @@ from aridcal.jobs.plan.approaches import BACK_ANGLE, as_they_come, from_both_sid
 from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.configurations import targets_of
 from aridcal.jobs.plan.joint_moves import PROGRAMS, Moves, check_program, moves, program
-from aridcal.jobs.plan.pose_design import Asked, as_table, design
+from aridcal.jobs.plan.pose_design import PlanRequest, as_table, design
 from aridcal.system.errors import OutputError
 
 SIX = 6 * ("revolute",)
@@ -227,7 +227,7 @@ def test_a_plan_says_from_which_side_and_goes_that_way(tmp_path: Path) -> None:
 def test_without_play_nothing_is_said_of_sides(tmp_path: Path) -> None:
     made = load_campaign(written(tmp_path, "diagnosis: {enabled: false}\n"))
     robot = load_robot(made.robot.urdf, made.robot.tip)
-    plain = design(beforehand(made, robot), Asked(10))
+    plain = design(beforehand(made, robot), PlanRequest(10))
     assert not plain.directions and np.isnan(plain.via).all()
     assert list(as_table(plain, robot, made.measurements).columns) == list(robot.readings)
 

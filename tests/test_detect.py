@@ -12,7 +12,7 @@ from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
 from aridcal.detect import main
 from aridcal.jobs.boards.camera_file import known_camera
-from aridcal.jobs.boards.finders import Found, find
+from aridcal.jobs.boards.finders import ImageMarks, find
 from aridcal.jobs.boards.lens import estimate
 from aridcal.jobs.boards.options import ALL_BOARDS, board_of
 from aridcal.jobs.boards.patterns import FACES, Cube, Tags, drawing, marks
@@ -72,7 +72,7 @@ def drawn_camera(rng: np.random.Generator) -> tuple[np.ndarray, tuple[int, int]]
     return np.array([f, f * rng.uniform(0.99, 1.01), *middle, *bend]), (640, 480)
 
 
-def circles_seen(seed: int, views: int, **light: float) -> tuple[list[Found], list[np.ndarray], np.ndarray]:
+def circles_seen(seed: int, views: int, **light: float) -> tuple[list[ImageMarks], list[np.ndarray], np.ndarray]:
     """Grids of circles as a drawn camera sees them, how far each circle is from where OpenCV projects it, and the camera."""
     rng = np.random.default_rng([7, seed])
     camera, size = drawn_camera(rng)

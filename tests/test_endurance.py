@@ -30,7 +30,7 @@ from aridcal.jobs.apply import stretches
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.folder import write_results
 from aridcal.system.errors import CampaignError, MeasurementError
-from aridcal.system.progress import EVERY, HowFar, Progress, told_on
+from aridcal.system.progress import EVERY, Progress, StepProgress, told_on
 
 
 def hundred_times(folder: Path, rows: int) -> pd.DataFrame:
@@ -206,7 +206,7 @@ def test_a_step_tells_how_far_it_is_and_not_too_often() -> None:
 
 
 def test_the_time_left_is_what_the_rest_takes_at_the_pace_so_far_and_the_bar_shows_the_share() -> None:
-    told: list[HowFar] = []
+    told: list[StepProgress] = []
     clock = ticking(10.0)
     progress = Progress(lambda _: None, told.append, lambda: next(clock))
     progress("searching")

@@ -22,9 +22,9 @@ from aridcal.pages.drawing.figures import (
     panels,
 )
 from aridcal.pages.drawing.html import noting
-from aridcal.pages.drawing.plot import Area, Named, Scale, along, legend, scale, written
+from aridcal.pages.drawing.plot import Area, LegendEntry, Scale, along, legend, scale, written
 from aridcal.pages.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
-from aridcal.pages.drawing.timelines import Stretch, sparkline, timeline
+from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
 
 RNG = np.random.default_rng(0)
 HOSTILE = """<b onclick="x">&'"""
@@ -93,7 +93,7 @@ def test_a_line_breaks_where_values_are_missing() -> None:
 
 
 def test_a_legend_takes_as_many_lines_as_it_needs() -> None:
-    entries = [Named("a name of some length", "red") for _ in range(4)]
+    entries = [LegendEntry("a name of some length", "red") for _ in range(4)]
     one, high = legend(entries[:1], 0.0, 310.0)
     four, higher = legend(entries, 0.0, 310.0)
     assert one.count("<circle") == 1 and four.count("<circle") == 4
@@ -170,7 +170,7 @@ def test_curves_and_their_bands_stand_where_the_ticks_say() -> None:
 def test_times_are_named_by_months_or_days_and_a_change_is_marked_between_its_ends(days: float) -> None:
     day = 19_000.0 + np.linspace(0.0, days, 9)
     value = np.linspace(-1.0, 1.0, 9)
-    marked = Stretch(day[2], day[5], HOSTILE)
+    marked = TimeStretch(day[2], day[5], HOSTILE)
     drawn = timeline("k", "alt", day, value, np.full(9, 0.1), "zero [mrad]", [marked])
     dated = [t for t in svg(drawn).iter("text") if re.fullmatch(r"\d{4}-\d{2}(-\d{2})?", t.text or "")]
     assert 1 <= len(dated) <= 5

@@ -25,7 +25,7 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.fleet import main
 from aridcal.jobs.fleet import work
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import Broken, EngineGone, here
+from aridcal.jobs.fleet.in_process import EngineGone, WorkFailure, here
 from aridcal.jobs.fleet.keys import files_of, inputs_of
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.run_record import SCHEMA, row_in
@@ -647,7 +647,7 @@ def test_a_worker_and_the_scheduler_die_and_every_task_is_answered_once(
         over.set()
         killing.join()
     assert answers == {
-        f"task-{name}": Broken("ValueError: on purpose") if name == "raises" else name.upper() for name in names
+        f"task-{name}": WorkFailure("ValueError: on purpose") if name == "raises" else name.upper() for name in names
     }
     assert (marks / "dies-at-first").read_text() == (marks / "holds-at-first").read_text() == "xx"
     assert any("connection to the scheduler broke" in line for line in said)

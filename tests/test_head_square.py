@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from shapely.geometry import Polygon, box
 
-from aridcal.jobs.head1992.render import Scene, coverage, image_outlines, light_map
+from aridcal.jobs.head1992.render import ImageAppearance, coverage, image_outlines, light_map
 from aridcal.jobs.head1992.square import (
     CENTRES,
     INCH,
@@ -101,8 +101,8 @@ def test_rendered_edges_are_true_to_a_hundredth_of_a_pixel(blur):
     for shift in (0.0, 0.137, 0.5, 0.781):
         T = facing(0.25)
         T[0, 3] += shift / 700 * 0.25
-        image = light_map({}, INTRINSICS, 512, 512, Scene(surroundings=0.8, blur=blur))
-        with_marks = light_map({0: T}, INTRINSICS, 512, 512, Scene(surroundings=0.8, paper=0.8, blur=blur))
+        image = light_map({}, INTRINSICS, 512, 512, ImageAppearance(surroundings=0.8, blur=blur))
+        with_marks = light_map({0: T}, INTRINSICS, 512, 512, ImageAppearance(surroundings=0.8, paper=0.8, blur=blur))
         part = (slice(215, 296), slice(215, 296))  # the centre fiducial
         dark = (image - with_marks)[part] / (255 * (0.8 - 0.12))
         corners = image_outlines(T, fiducial_corners()[3:4], INTRINSICS)[0]
@@ -116,7 +116,7 @@ def test_rendered_edges_are_true_to_a_hundredth_of_a_pixel(blur):
 
 def test_supersampled_blur_is_a_gaussian_of_the_stated_width():
     T = facing(0.25)
-    scene = Scene(surroundings=0.8, paper=0.8, blur=1.2)
+    scene = ImageAppearance(surroundings=0.8, paper=0.8, blur=1.2)
     row = light_map({0: T}, INTRINSICS, 512, 512, scene)[256] / 255
     dark = (0.8 - row[215:256]) / (0.8 - 0.12)
     edge = np.diff(dark)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import aridcal
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.kinds import KINDS
 
 PACKAGE = Path(aridcal.__file__).parent
@@ -56,7 +56,9 @@ def rows_imported(tree: ast.AST) -> Iterator[tuple[int, str]]:
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aridcal.engine.instruments."):
             there = importlib.import_module(str(node.module))
-            yield from ((node.lineno, a.name) for a in node.names if isinstance(getattr(there, a.name, None), Kind))
+            yield from (
+                (node.lineno, a.name) for a in node.names if isinstance(getattr(there, a.name, None), MeasurementKind)
+            )
 
 
 def questions(source: str) -> list[tuple[int, str]]:

@@ -21,7 +21,7 @@ from aridcal.engine.fit.problem import BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise, triangle
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
 from aridcal.engine.instruments.pose import residuals
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import NotIdentifiable
@@ -343,7 +343,7 @@ def test_noise_found_robustly_is_that_of_the_bulk() -> None:
 def test_thinning_is_reproducible_keeps_the_order_and_leaves_no_frame_out() -> None:
     tip = np.zeros(1000, dtype=int)
     tip[[3, 500, 900]] = 1
-    rows = Rows(np.zeros((1000, 1)), np.empty((1000, 0)), np.zeros(1000, dtype=int), tip)
+    rows = ModelRows(np.zeros((1000, 1)), np.empty((1000, 0)), np.zeros(1000, dtype=int), tip)
     some = thin(rows, 100)
     assert len(set(some.tolist())) == len(some) == 102
     assert np.array_equal(some, np.sort(some))

@@ -19,7 +19,7 @@ from aridcal.engine.fit.residual import linearise, moved_by
 from aridcal.engine.instruments.channels import columns
 from aridcal.engine.model.local import LEAST_HATS
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import Seen
+from aridcal.engine.trust.coverage import Coverage
 from aridcal.engine.trust.workspace import Knowledge, shifted, target_covariance
 
 COUNT = 45
@@ -108,7 +108,7 @@ def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
     wide = replace(local)
     wide.__dict__["local"] = None
     assert local.local is not None
-    seen = Seen({}, {}, (np.inf, np.inf))
+    seen = Coverage({}, {}, (np.inf, np.inf))
     asked = question.data.readings[:120], np.arange(120), (0.1, -0.2, 0.3)
     found, known = (
         Knowledge(fit, own, follows, np.array([[4e-6, 1e-6], [1e-6, 9e-6]]), seen).over(question.data, *asked)

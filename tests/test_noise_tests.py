@@ -14,7 +14,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit, fit
-from aridcal.engine.fit.noise import Repeats, declared_notices
+from aridcal.engine.fit.noise import RepeatScatter, declared_notices
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import PIXEL
 from aridcal.engine.instruments.setup import Block
@@ -23,7 +23,7 @@ from aridcal.engine.search.noise_tests import (
     SHUFFLES,
     STRETCHES,
     Clue,
-    View,
+    ResidualView,
     _change,
     _neighbours,
     _things,
@@ -52,7 +52,7 @@ def telling(
     q: np.ndarray,
     time: np.ndarray | None = None,
     noise: tuple[float | None, ...] = UNKNOWN,
-    repeats: Repeats | None = None,
+    repeats: RepeatScatter | None = None,
 ) -> list[Clue]:
     """What shows structure."""
     return [c for c in clues(rows(r, q, time, noise), r, repeats, 1.0) if c.tells]
@@ -97,7 +97,7 @@ def test_rows_that_stand_twice_are_no_neighbours_of_themselves() -> None:
     """Residuals have nothing in common; a quarter of what rows are compared with would be themselves."""
     rng = np.random.default_rng(2)
     readings = np.repeat(rng.standard_normal((500, 3)), 2, axis=0)
-    found = _neighbours([View("so", rng.standard_normal((1000, 2)))], readings)
+    found = _neighbours([ResidualView("so", rng.standard_normal((1000, 2)))], readings)
     assert found.share < 0.05 and found.p_value > 0.01
 
 
@@ -149,9 +149,9 @@ def test_repeats_that_scatter_less_than_the_residual_are_the_measure_of_what_is_
     noise = rng.standard_normal((600, 3))
     r = noise + 2.0 * rng.standard_normal((200, 3))[group]
     q = rng.uniform(-1, 1, (600, 3))  # neighbours are strangers, so that only the repeats can tell
-    (found,) = telling(r, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0))
+    (found,) = telling(r, q, repeats=RepeatScatter(200, 600, np.ones(1), np.array([400.0]), 0.0))
     assert found.share == pytest.approx(0.8, abs=0.05)
-    assert telling(noise, q, repeats=Repeats(200, 600, np.ones(1), np.array([400.0]), 0.0)) == []
+    assert telling(noise, q, repeats=RepeatScatter(200, 600, np.ones(1), np.array([400.0]), 0.0)) == []
 
 
 def test_noise_stated_wrongly_is_said_both_ways_and_noise_stated_well_is_not() -> None:
@@ -262,17 +262,17 @@ def test_of_many_rows_stretches_on_end_are_asked_in_the_order_of_measurement() -
     np.testing.assert_array_equal(stretches(sequence[:9_000], 10_000), np.arange(9_000))
 
 
-def shuffled(views: list[View]) -> list[list[np.ndarray]]:
+def shuffled(views: list[ResidualView]) -> list[list[np.ndarray]]:
     """The same shuffles of the rows, view by view."""
     rng = np.random.default_rng(0)
     orders = [rng.permutation(len(views[0].white)) for _ in range(SHUFFLES)]
     return [[view.white[order] for order in orders] for view in views]
 
 
-def two_views(n: int) -> list[View]:
+def two_views(n: int) -> list[ResidualView]:
     rng = np.random.default_rng(5)
     wave = 0.3 * np.sin(np.arange(n) / 9.0)[:, None] + np.where(np.arange(n) < n // 3, 0.0, 0.4)[:, None]
-    return [View("so", rng.normal(size=(n, 3))), View("otherwise", wave + rng.normal(size=(n, 1)))]
+    return [ResidualView("so", rng.normal(size=(n, 3))), ResidualView("otherwise", wave + rng.normal(size=(n, 1)))]
 
 
 def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_it() -> None:

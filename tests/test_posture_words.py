@@ -24,7 +24,7 @@ from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import KUKA as NOTATION
 from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
-from aridcal.jobs.apply.programs.project import Project, Source
+from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
 from aridcal.jobs.apply.programs.sentences import lines_of
 from aridcal.jobs.apply.programs.targets import Branch, Target, Words
@@ -452,7 +452,7 @@ def test_a_program_that_speaks_against_the_zeros_is_answered_with_what_to_state(
 def unlike(robot: Robot, text: str) -> Sequence[Target]:
     """Targets of a KRL program for an arm of six axes, left where some of them turn the other way."""
     cell = Cell(robot)
-    reading = krl.ROW.read(Project((Source(Path("a.src"), text),)), cell)
+    reading = krl.ROW.read(Project((SourceFile(Path("a.src"), text),)), cell)
     return without_mirrored(reading.targets, cell, krl.ROW.name)
 
 

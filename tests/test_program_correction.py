@@ -25,7 +25,7 @@ from aridcal.jobs.apply.programs import branches, correct
 from aridcal.jobs.apply.programs.branches import Controller, Poses, controller, flange, flanges
 from aridcal.jobs.apply.programs.corrections import Correction, as_table
 from aridcal.jobs.apply.programs.notations import ABB, FANUC, KUKA, UR, pose
-from aridcal.jobs.apply.programs.targets import Branch, Notation, Place, Target, Words
+from aridcal.jobs.apply.programs.targets import Branch, Notation, PoseReference, Target, Words
 from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
@@ -67,9 +67,11 @@ def stated(q: np.ndarray, *axes: int) -> Target:
     return Target(1, "joints", "joints", Numbers(texts), readings=readings, units=tuple((1.0, k) for k in axes))
 
 
-def shown(robot: Robot, q: np.ndarray, notation: Notation = UR, place: Place | None = None, **branch: object) -> Target:
+def shown(
+    robot: Robot, q: np.ndarray, notation: Notation = UR, place: PoseReference | None = None, **branch: object
+) -> Target:
     """A target that is a pose."""
-    place = place or Place(np.eye(4), np.eye(4))
+    place = place or PoseReference(np.eye(4), np.eye(4))
     T = np.linalg.inv(place.base) @ flange(robot, q) @ place.tool
     texts = numbers(notation.numbers(T, np.ones(7)[: len(notation.digits)]), 6)
     return Target(1, "pose", "pose", Numbers(texts), notation=notation, place=place, branch=Branch(**branch))  # type: ignore[arg-type]
@@ -108,7 +110,7 @@ def sent(robot: Robot, c: Correction, q: np.ndarray) -> np.ndarray:
     return commanded(robot, c.target.place, c.target.notation.pose(now(c)), q)
 
 
-def commanded(robot: Robot, place: Place, T: np.ndarray, q: np.ndarray) -> np.ndarray:
+def commanded(robot: Robot, place: PoseReference, T: np.ndarray, q: np.ndarray) -> np.ndarray:
     wanted = place.base @ T @ np.linalg.inv(place.tool)
     found = controller(robot).command(wanted[:3, :3], wanted[:3, 3], q, {})
     assert found.reached
@@ -130,7 +132,7 @@ def test_the_true_arm_comes_to_the_places_of_joints_and_of_poses_in_any_frame_wi
     robot, wide = m.model.robot, replace(m.saved, ranges=dict.fromkeys(m.model.robot.readings, (-6.0, 6.0)))
     ways, targets = seam(60, rng), []
     for k, q in enumerate(ways):
-        place = Place(frame(rng, 1.0), frame(rng, 0.2))
+        place = PoseReference(frame(rng, 1.0), frame(rng, 0.2))
         targets.append(stated(q) if k % 5 == 0 else shown(robot, q, NOTATIONS[name], place))
     found = correct.correct(wide, targets, {})
     assert [c.why for c in found] == [""] * 60
@@ -163,7 +165,7 @@ def mixed(n: int, rng: np.random.Generator) -> list[Target]:
     found = []
     for k, q in enumerate(crossing(n, rng)):
         target = shown(robots.ur10(), q) if k % 3 else stated(q, *((0, 4) if k % 6 == 3 else ()))
-        far = Place(pose(np.array([9.0, 0.0, 0.0]), Rotation.identity()), np.eye(4))
+        far = PoseReference(pose(np.array([9.0, 0.0, 0.0]), Rotation.identity()), np.eye(4))
         found.append(replace(target, place=far) if k % 7 == 4 and target.place else target)
     return found
 
@@ -306,7 +308,9 @@ def test_three_reasons_not_to_get_to_a_pose_are_told_apart() -> None:
     )  # the first axis stops at 2.9, and all others would have to turn over
     targets = [
         shown(robot, q, held=held, words=bits(1, 3)("11")),
-        replace(shown(robot, q, held=held), place=Place(pose(np.array([9.0, 0, 0]), Rotation.identity()), np.eye(4))),
+        replace(
+            shown(robot, q, held=held), place=PoseReference(pose(np.array([9.0, 0, 0]), Rotation.identity()), np.eye(4))
+        ),
         shown(robot, beyond, held=held),
     ]
     found = correct.correct(saved, targets, {}, q)
@@ -357,7 +361,7 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
     turned = pose(np.zeros(3), Rotation.from_rotvec([0.0, 0.0, 2.5]))  # another way round, on the same pose
     one = OneRowModel(saved.final.model, saved.final.theta)
     for beside, worth in (([near], True), ([near, far], True), ([turned], False), ([near, turned], False)):
-        places = tuple(Place(np.eye(4), np.linalg.inv(shift)) for shift in beside)
+        places = tuple(PoseReference(np.eye(4), np.linalg.inv(shift)) for shift in beside)
         target = shown(robot, HOME)
         found = correct.correct(saved, [replace(target, beside=places)], {}, HOME)
         (c,) = found

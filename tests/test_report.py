@@ -19,12 +19,12 @@ from markupsafe import Markup
 from rich.console import Console
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, Barred
+from aridcal.engine.corrections.catalogue import KINDS, UntestableEffect
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.doty import doty_links
 from aridcal.engine.search.noise_tests import Clue
-from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, Rejected
+from aridcal.engine.trust.gains import Curve, Diagnosis, NamedEffect, RejectedEffect
 from aridcal.engine.trust.halves import Halves
 from aridcal.identify import summary as print_summary
 from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exports
@@ -433,8 +433,8 @@ def test_effects_and_what_else_was_tried_are_shown(outcome: Outcome, handover: C
     named = NamedEffect(effect, False, 1e-300, before, before / 4, outcome.stages[1].residual, (other,), (curve,))
     found = Diagnosis(
         (named,),
-        (Rejected(other, 0.2, 1.0, "too small <b>"),),
-        (Barred("thermal", "no <i>"),),
+        (RejectedEffect(other, 0.2, 1.0, "too small <b>"),),
+        (UntestableEffect("thermal", "no <i>"),),
         77,
         (Clue("order", "white?", 0.1, 0.5),),
     )

@@ -17,7 +17,7 @@ from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.search import products, state
 from aridcal.engine.search.evidence import Score, solve
 from aridcal.engine.search.grids import Grid, grid_of, local, moving
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.scoring import refine, signed_ranks
 from aridcal.engine.search.screening import score_all, score_without
 from aridcal.engine.search.state import State, activate, by_fold, solve_state, without_effect
@@ -41,7 +41,7 @@ def solved(prepared: bool = True) -> State:
     return solve_state(b, active, np.ones(2), used, fixed=True)
 
 
-def columns_of(made: State, *more: Active) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def columns_of(made: State, *more: ActiveEffect) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Columns and residual in sigmas of the rows in use, and the fold of each number."""
     b, used = made.model, made.used
     X = np.concatenate([b.A, *(a.columns(b) for a in (*made.active, *more))], axis=2)[used]

@@ -19,7 +19,7 @@ from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.levels import PRICE
 from aridcal.engine.search import set_exchange
 from aridcal.engine.search.evidence import NOTHING, Solution
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, solve_state
 from aridcal.system.progress import SILENT
@@ -41,8 +41,8 @@ def yielding(joint: str) -> Effect:
 LIBRARY = [curve(joint, order) for joint in JOINTS for order in (1.0, 2.0, 3.0)] + [yielding(joint) for joint in JOINTS]
 
 
-def taken(*effects: Effect) -> list[Active]:
-    return [Active(effect, NOTHING, np.eye(len(effect.coefficients))) for effect in effects]
+def taken(*effects: Effect) -> list[ActiveEffect]:
+    return [ActiveEffect(effect, NOTHING, np.eye(len(effect.coefficients))) for effect in effects]
 
 
 def test_the_cost_of_a_set_is_that_of_drawing_it_from_all_sets_of_its_kind():

@@ -23,7 +23,7 @@ from aridcal.engine.fit.noise import repeats
 from aridcal.engine.fit.problem import BLOCK, problem
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.certainty import as_document
-from aridcal.engine.trust.tolerance import Beyond, Kept, beyond, instrument_noise, kept
+from aridcal.engine.trust.tolerance import ExcessError, ToleranceAnswer, beyond, instrument_noise, kept
 from aridcal.engine.trust.workspace import knowledge, spread_out
 from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
@@ -44,7 +44,7 @@ def measured(truth: robots.Truth, q: np.ndarray, rng: np.random.Generator, jitte
     return replace(robots.measured(truth.model.robot, q, p, R), test=np.arange(len(q)) % 5 == 0)
 
 
-def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple[Kept, np.ndarray]:
+def certain(found: Fit, rows: Dataset, where: np.ndarray | None = None) -> tuple[ToleranceAnswer, np.ndarray]:
     """What is said of the position over a region, or over the box of what was measured, and the region's readings."""
     train, tool = rows.select(rows.train), (0.0, 0.0, 0.0)
     known = knowledge(found, train, (*robots.FRAMES, *constants(found.model.robot, "full")))
@@ -139,7 +139,7 @@ def answers(
     truth, found = arm()
     rows = truth.measured
     exact = replace(found, covariance=1e-20 * found.covariance)
-    left = Beyond(float(np.mean(sizes**2)), 0.0, 0.0, 1e9, np.linalg.norm(sizes, axis=1), True, True)
+    left = ExcessError(float(np.mean(sizes**2)), 0.0, 0.0, 1e9, np.linalg.norm(sizes, axis=1), True, True)
     known = knowledge(exact, rows, ())
     place = known.over(rows, np.resize(rows.readings, (400, 4)), np.zeros(400, dtype=int))
     place = replace(place, measured=where(np.ones(400, dtype=bool)))
@@ -202,7 +202,7 @@ def test_what_turns_the_target_moves_a_point_beside_it() -> None:
     )
     residual = problem(first.model, rows).residual(first.theta)
 
-    def left(tool: tuple[float, float, float], turn: bool = False) -> Beyond:
+    def left(tool: tuple[float, float, float], turn: bool = False) -> ExcessError:
         found = beyond(first, rows, rows.test, ~rows.test, residual, np.full(2, NOISE), tool, turn)
         assert found is not None
         return found
@@ -221,7 +221,7 @@ def test_what_was_not_measured_is_not_within() -> None:
 
 
 def test_fewer_rows_leave_more_open() -> None:
-    few, many = (Beyond(4e-8, 1e-8, 1e-8, nu, np.zeros(1), True, True) for nu in (10.0, 1000.0))
+    few, many = (ExcessError(4e-8, 1e-8, 1e-8, nu, np.zeros(1), True, True) for nu in (10.0, 1000.0))
     assert few.sigma == many.sigma == pytest.approx(np.sqrt(2e-8))
     drawn = [part.drawn(4000, np.random.default_rng(0)) for part in (few, many)]
     assert np.quantile(drawn[0], 0.95) > 1.3 * np.quantile(drawn[1], 0.95)

@@ -14,7 +14,7 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.noise import repeats
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.uncertainty import outliers, precision, target_sigma, with_noise_seen
@@ -149,7 +149,7 @@ def test_precision_is_that_of_the_rows() -> None:
     result = precision(found, data)
     draws = rng.multivariate_normal(found.theta, found.covariance, 300)
 
-    def drawn(rows: Rows) -> np.ndarray:
+    def drawn(rows: ModelRows) -> np.ndarray:
         return worst(np.array([model.poses(theta, rows)[1] for theta in draws]))
 
     assert np.median(result.position / drawn(model.rows(data.readings))) == pytest.approx(1.0, abs=0.05)

@@ -26,7 +26,7 @@ from aridcal.engine.instruments.kinds import KINDS as MEASURED
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
-from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, bears
 from aridcal.files.counting import check_joints, check_on_chain
 from aridcal.files.instrument_settings import InstrumentSettings, Placement, TargetSettings
@@ -90,9 +90,9 @@ class ArmSettings(Section):
     """Factors of joints without a column that follow several others."""
 
     @property
-    def stated(self) -> Stated:
+    def stated(self) -> StatedJoints:
         """Positions of joints that have no column."""
-        return Stated(self.joints, self.coupled)
+        return StatedJoints(self.joints, self.coupled)
 
 
 class RobotSettings(ArmSettings):
@@ -244,7 +244,7 @@ def _with(section: AnySection, key: str, value: object) -> AnySection:
     return other
 
 
-class Job(Settings):
+class JobSettings(Settings):
     """The keys that a campaign and a scenario have in common."""
 
     robot: RobotSettings
@@ -302,7 +302,7 @@ class Job(Settings):
         return self.model_copy(update={"robot": _with(self.robot, "tip", self.carriers[0])})
 
     @model_validator(mode="after")
-    def _head_only_with_camera_sonar(self) -> Job:
+    def _head_only_with_camera_sonar(self) -> JobSettings:
         if self.measurements.traits.of_head and len(self.blocks) == 1:
             if "tip_target" in self.frames.model_fields_set:
                 raise ValueError("frames.tip_target: `kind: camera_sonar` has its target at the tip; delete this key")
@@ -376,7 +376,7 @@ class Job(Settings):
         return self.model_copy(update={"measurements": blocks[0], "listed": blocks if self.listed else ()})
 
     @model_validator(mode="after")
-    def _blocks_can_be_told_apart(self) -> Job:
+    def _blocks_can_be_told_apart(self) -> JobSettings:
         titles = [block.title for block in self.blocks]
         for number, title in enumerate(titles):
             if title in titles[:number]:
@@ -386,7 +386,7 @@ class Job(Settings):
         return self
 
     @model_validator(mode="after")
-    def _instruments_are_used(self) -> Job:
+    def _instruments_are_used(self) -> JobSettings:
         kinds = {block.kind for block in self.blocks}
         if self.instruments.model_fields_set - {"targets"} and kinds.isdisjoint(REFERRING):
             raise ValueError(
@@ -412,7 +412,7 @@ class Job(Settings):
         return self
 
 
-class Campaign(Job):
+class Campaign(JobSettings):
     """A calibration job: a robot, its measurements, and what may be identified from them."""
 
     design: DesignSettings = DesignSettings()
@@ -459,7 +459,7 @@ class Campaign(Job):
         return self
 
 
-def nominal_robot(job: Job) -> Robot:
+def nominal_robot(job: JobSettings) -> Robot:
     """Read the robot that a campaign or a scenario names.
 
     Raises:

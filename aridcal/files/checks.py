@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.rows.repeats import first_alike, tolerances
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.measurement_settings import BEYOND_REACH
-from aridcal.files.quantities import POSITION, STD, TURNS, Source
+from aridcal.files.quantities import POSITION, STD, TURNS, TableSource
 from aridcal.files.yaml_file import FINEST
 from aridcal.system.errors import MeasurementError
 
@@ -36,7 +36,7 @@ TURN = 2 * np.pi
 IMPOSSIBLE_SHARE = 0.5
 
 
-def nothing_usable(source: Source) -> MeasurementError:
+def nothing_usable(source: TableSource) -> MeasurementError:
     """The error for a table of which every row is refused: the commonest reasons, and the first."""
     refused = source.refusals()
     counts = Counter(remark.why for remark in refused)
@@ -50,7 +50,7 @@ def nothing_usable(source: Source) -> MeasurementError:
 
 
 def refuse_copies(
-    source: Source, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
+    source: TableSource, columns: Sequence[np.ndarray | None], labels: Sequence[np.ndarray | None], sequence: np.ndarray
 ) -> None:
     """Keep the first of rows that are equal in every compared column: no instrument measures the same bits twice.
 
@@ -69,7 +69,7 @@ def refuse_copies(
         source.usable[row] = False
 
 
-def _line(source: Source, row: int, remarked: int) -> str:
+def _line(source: TableSource, row: int, remarked: int) -> str:
     """The line of a row, for a remark on another row: with its file, if that is another one."""
     table = source.table
     file = "" if table.file[remarked] == table.file[row] else f" of {table.files[table.file[row]].name}"
@@ -77,7 +77,7 @@ def _line(source: Source, row: int, remarked: int) -> str:
 
 
 def stale_rows(
-    source: Source, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
+    source: TableSource, q: np.ndarray, measured: np.ndarray, sequence: np.ndarray, noted: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Rows that share a measurement bit for bit although the joints moved between them: one of them was not measured.
 
@@ -103,7 +103,7 @@ def stale_rows(
     return stale, shared
 
 
-def note_limits(source: Source, q: np.ndarray) -> None:
+def note_limits(source: TableSource, q: np.ndarray) -> None:
     """Name the readings outside their joint's limits; they are of shape (N, columns), [rad] or [m]."""
     rows = np.flatnonzero(source.usable)
     for k, (joint, kind) in enumerate(zip(source.joint_names, source.kinds, strict=True)):
@@ -118,7 +118,7 @@ def note_limits(source: Source, q: np.ndarray) -> None:
             source.notices.append(source.table.remark(row, source.joint_columns[k], why))
 
 
-def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> None:
+def check_units(source: TableSource, q: np.ndarray, position: np.ndarray | None) -> None:
     """Refuse data that cannot be in the stated units, and mention what may not be.
 
     Args:
@@ -138,7 +138,7 @@ def check_units(source: Source, q: np.ndarray, position: np.ndarray | None) -> N
         _check_positions(source, position[source.usable], np.ptp(q[:, turning], axis=0))
 
 
-def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turning: np.ndarray) -> None:
+def _refuse_impossible(source: TableSource, q: np.ndarray, limits: np.ndarray, turning: np.ndarray) -> None:
     """Refuse readings of which most are outside their limits and further than any joint moves."""
     limited = np.isfinite(limits).all(axis=1)
     outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
@@ -152,7 +152,7 @@ def _refuse_impossible(source: Source, q: np.ndarray, limits: np.ndarray, turnin
     raise source.wrong_unit([source.joint_columns[k] for k in worst], "angle" if angles else "length", largest)
 
 
-def _note_odd_angles(source: Source, turns: np.ndarray) -> None:
+def _note_odd_angles(source: TableSource, turns: np.ndarray) -> None:
     """Mention angles that may be in the other unit, from absolute readings of shape (N, turning joints), [rad]."""
     if turns.size and np.median(turns.max(axis=1)) > TURNS:
         source.note("", "most rows have a joint beyond two turns: are the angles in degrees (`units: {angle: deg}`)?")
@@ -160,7 +160,7 @@ def _note_odd_angles(source: Source, turns: np.ndarray) -> None:
         source.note("", "no joint turns beyond 6.3 degrees: are the angles in radians (`units: {angle: rad}`)?")
 
 
-def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -> None:
+def _check_positions(source: TableSource, position: np.ndarray, travel: np.ndarray) -> None:
     """Refuse positions (N, 3), [m], that no arm reaches, or that stay in place though joints turn by ``travel`` [rad]."""
     units = source.settings.units
     if np.median(np.linalg.norm(position, axis=1)) > BEYOND_REACH:
@@ -176,7 +176,7 @@ def _check_positions(source: Source, position: np.ndarray, travel: np.ndarray) -
 
 
 def refuse_impossible_readings(
-    source: Source, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
+    source: TableSource, observed: np.ndarray, cameras: Mapping[str, ArmCameraSettings], camera: np.ndarray | None
 ) -> None:
     """Refuse rows with numbers that no such instrument can have read.
 
@@ -201,7 +201,7 @@ def refuse_impossible_readings(
                 source.refuse(outside[:, k] & (camera == name), source.column(axis), why)
 
 
-def check_distances(source: Source, observed: np.ndarray) -> None:
+def check_distances(source: TableSource, observed: np.ndarray) -> None:
     """Refuse distances that cannot be in the stated unit.
 
     Args:

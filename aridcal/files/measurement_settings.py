@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.kinds import KINDS
 from aridcal.files.formats.robot_calibration import NAME
 from aridcal.files.yaml_file import FINEST, LARGEST, RelativePath, Section
@@ -107,7 +107,7 @@ Names = Annotated[tuple[str, ...], BeforeValidator(listed)]
 Sigma = Annotated[float, Field(ge=FINEST, le=1e3)]
 
 
-class Noise(Section):
+class NoiseSettings(Section):
     """1-sigma of the measurement per axis; what is absent is estimated."""
 
     position: Sigma | None = None
@@ -150,7 +150,7 @@ def _can_be_shown(name: str) -> str:
 
 Name = Annotated[str, AfterValidator(_can_be_shown)]
 
-Line = Annotated[int, Field(ge=1, le=LAST_LINE)]
+LineNumber = Annotated[int, Field(ge=1, le=LAST_LINE)]
 
 
 class DatesSettings(Section):
@@ -170,9 +170,9 @@ class TableSettings(Section):
     separator: Literal["tab", "blanks", ",", ";", "|"] = ","
     decimal: Literal[".", ","] = "."
     thousands: Literal["", ".", ",", "'", "blank"] = ""
-    header: Annotated[tuple[Line, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
+    header: Annotated[tuple[LineNumber, ...], BeforeValidator(listed), Field(min_length=1, max_length=8)] = (1,)
     """Lines whose cells name the columns, put together with blanks."""
-    first_row: Line | None = None
+    first_row: LineNumber | None = None
     """Line of the first row; `None`: below the header."""
     comment: Annotated[tuple[Annotated[str, Field(min_length=1, max_length=60)], ...], BeforeValidator(listed)] = ()
     """Beginnings of lines that are no rows."""
@@ -356,7 +356,7 @@ class MeasurementSettings(Section):
     """Whether the joints' columns are what the controller reports or what it was commanded; `None`: not stated."""
     links: tuple[str, str] | None = None
     """Links between which all rows are; for `kind: joined`."""
-    noise: Noise = Noise()
+    noise: NoiseSettings = NoiseSettings()
     columns: dict[str, str] = Field(default_factory=dict)
     """Column of a joint or a quantity where the two names differ."""
     units: Units = Units()
@@ -421,7 +421,7 @@ class MeasurementSettings(Section):
         return 1 if joint is None else joint.sign
 
     @property
-    def traits(self) -> Kind:
+    def traits(self) -> MeasurementKind:
         """Its kind's row of the table of kinds."""
         return KINDS[self.kind]
 

@@ -78,7 +78,7 @@ def _worded(most: int) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-Line = Annotated[str, _worded(120)]
+OneLine = Annotated[str, _worded(120)]
 
 Paragraph = Annotated[str, _worded(500)]
 
@@ -86,21 +86,21 @@ Paragraph = Annotated[str, _worded(500)]
 class About(Section):
     """Text of the certificate beside its figures, as the user states it."""
 
-    robot: Line | None = None
+    robot: OneLine | None = None
     """Maker and type; default: the URDF's name."""
-    serial_number: Line | None = None
-    instrument: Line | None = None
-    instrument_serial: Line | None = None
-    who: Line | None = None
+    serial_number: OneLine | None = None
+    instrument: OneLine | None = None
+    instrument_serial: OneLine | None = None
+    who: OneLine | None = None
     """Who measured."""
-    organisation: Line | None = None
-    date: Line | None = None
+    organisation: OneLine | None = None
+    date: OneLine | None = None
     """Date of the measurement; default: that of the files."""
     environment: Paragraph | None = None
     """Temperature, humidity, time of warming up."""
     method: Paragraph | None = None
     notes: Paragraph | None = None
-    certificate_number: Line | None = None
+    certificate_number: OneLine | None = None
 
 
 class Region(Section):

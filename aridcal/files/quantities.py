@@ -62,7 +62,7 @@ def computed(settings: MeasurementSettings) -> tuple[str, ...]:
 
 
 @dataclass
-class Source:
+class TableSource:
     """A table while it is read: which rows are still usable, and the remarks on the others.
 
     Attributes:

@@ -14,7 +14,7 @@ from aridcal.engine.robot.chain import JointKind
 from aridcal.engine.rows.remarks import Remark
 from aridcal.files.checks import check_units, note_limits
 from aridcal.files.measurement_settings import TARGET, MeasurementSettings
-from aridcal.files.quantities import POSITION, Source
+from aridcal.files.quantities import POSITION, TableSource
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.regular_files import TABLE, Limit
 
@@ -148,7 +148,7 @@ def load_query(
     table = query if isinstance(query, Table) else read_tables([query], (), limit, dialect, needed)
     if table.refused:
         raise MeasurementError(f"{table.title}: {table.refused[0]}; mend the file")
-    source = Source(table, settings, tuple(readings), kinds, limits, table.title, stated)
+    source = TableSource(table, settings, tuple(readings), kinds, limits, table.title, stated)
     q = source.seeds() if poses else source.joints()
     position, quaternion = None, None
     if poses and not settings.traits.place_alone:
@@ -213,7 +213,7 @@ def seeded(poses: AnyTable, seed: AnyTable, settings: MeasurementSettings, readi
     return table.assign(**{joint: rows[joint].to_numpy() for joint in joints})
 
 
-def _refuse_text(source: Source, poses: bool) -> None:
+def _refuse_text(source: TableSource, poses: bool) -> None:
     """Refuse a table with words among its joints or poses: an empty cell asks for nothing, a word is a slip."""
     pose_columns = [source.column(name) for name in POSITION] if poses else []
     pose_columns += source.orientation_columns if poses and not source.settings.traits.place_alone else []
@@ -223,7 +223,7 @@ def _refuse_text(source: Source, poses: bool) -> None:
             _refuse(source, is_text, name, "not a number", "write one, or leave the cell empty")
 
 
-def _refuse_holes(source: Source, covariates: dict[str, np.ndarray], needs: Collection[str]) -> None:
+def _refuse_holes(source: TableSource, covariates: dict[str, np.ndarray], needs: Collection[str]) -> None:
     """Refuse a table in which a covariate that an effect depends on is not known in every usable row."""
     for name in needs:
         if name in covariates:
@@ -232,7 +232,7 @@ def _refuse_holes(source: Source, covariates: dict[str, np.ndarray], needs: Coll
             _refuse(source, holes, source.column(name), "missing", advice)
 
 
-def _refuse(source: Source, bad: np.ndarray, column: str, why: str, advice: str) -> None:
+def _refuse(source: TableSource, bad: np.ndarray, column: str, why: str, advice: str) -> None:
     """Refuse the table for some of its rows (N,), naming the first."""
     rows = np.flatnonzero(bad)
     if len(rows):

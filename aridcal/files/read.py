@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aridcal.engine.instruments.kind import Kind
+from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.pose import pose_numbers, turned
 from aridcal.engine.instruments.setup import TIP, Block
 from aridcal.engine.robot.chain import JointKind, Robot, Route, check_route
@@ -29,9 +29,9 @@ from aridcal.files.checks import (
     stale_rows,
 )
 from aridcal.files.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
-from aridcal.files.quantities import Source
+from aridcal.files.quantities import TableSource
 from aridcal.files.routes import needed_columns, numbered, routes_of
-from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, known_of, with_trackers
 from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest, shortened
 from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.system.reading.freed import give_back
@@ -43,7 +43,7 @@ ONE_TARGET = "target"
 """Label of the target of rows that name none, where others do."""
 
 
-def own_target(kind: Kind, title: str) -> str:
+def own_target(kind: MeasurementKind, title: str) -> str:
     """Label of the target for rows of a block that name none: the tip for links, a level's own frame, else the only target."""
     if kind.bare:
         return TIP
@@ -62,7 +62,7 @@ class _Request:
     require_pose: bool
     fitted: bool
     own_files: bool
-    declarations: Known
+    declarations: InstrumentDeclarations
     robot: Robot | None
 
 
@@ -154,7 +154,7 @@ def _block(request: _Request, number: int, tables: Sequence[AnyTable]) -> _Part:
     return _Part(rows, noise)
 
 
-def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Source:
+def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> TableSource:
     """The tables of a block as they stand in their files."""
     campaign, settings = request.campaign, request.campaign.blocks[number]
     joint_columns = [settings.columns.get(name, name) for name in request.readings]
@@ -167,7 +167,9 @@ def _source(request: _Request, number: int, tables: Sequence[AnyTable]) -> Sourc
         where = f"{campaign.path}: {campaign.place(number)}.units.columns.{name}"
         raise CampaignError(f"{where}: there is no such column{nearest(name, table.names)}")
     without_column = campaign.robot.stated.names
-    return Source(table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column)
+    return TableSource(
+        table, settings, request.readings, request.kinds, request.limits, str(campaign.path), without_column
+    )
 
 
 def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[Dataset, np.ndarray, RowNoise]:
@@ -250,7 +252,7 @@ def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[D
     return rows, chosen, noise
 
 
-def _unroll(source: Source, covariates: dict[str, np.ndarray]) -> None:
+def _unroll(source: TableSource, covariates: dict[str, np.ndarray]) -> None:
     """Add a day to the times of rows after midnight.
 
     Raises:
@@ -292,7 +294,7 @@ def _direct(campaign: Campaign, rows: Dataset) -> bool:
     return only and rows.labels.target is None and not campaign.links
 
 
-def _observed(source: Source) -> np.ndarray:
+def _observed(source: TableSource) -> np.ndarray:
     """Readings of the instrument of each row, shape (N, W), in SI; a touched plane without a gauge reads 0."""
     settings, kind = source.settings, source.settings.traits
     names = kind.read
@@ -307,7 +309,7 @@ def _observed(source: Source) -> np.ndarray:
     return source.needed(cells, scale)
 
 
-def _refers(source: Source, request: _Request) -> np.ndarray:
+def _refers(source: TableSource, request: _Request) -> np.ndarray:
     """Labels of the things that each row refers to, shape (N, 3), in the order of the kind's roles."""
     settings, declarations = source.settings, request.declarations
     n = len(source.table)
@@ -347,7 +349,7 @@ def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> st
     return settings.title
 
 
-def _declared_cameras(source: Source, words: np.ndarray, declarations: Known) -> np.ndarray:
+def _declared_cameras(source: TableSource, words: np.ndarray, declarations: InstrumentDeclarations) -> np.ndarray:
     """Camera of each row, shape (N,), any declared one in unusable rows.
 
     Raises:
@@ -410,7 +412,8 @@ def _with_instruments(rows: Dataset, request: _Request) -> Dataset:
     """The rows with the instruments and things that they refer to, and their paths."""
     rows = rows.with_labels(refers=with_trackers(rows.labels.refers, rows.blocks, rows.labels.block, request.readings))
     of_blocks = [
-        Rows(b.traits, rows.labels.refers[rows.labels.block == number]) for number, b in enumerate(rows.blocks)
+        ThingReferences(b.traits, rows.labels.refers[rows.labels.block == number])
+        for number, b in enumerate(rows.blocks)
     ]
     instruments, remarks = instruments_of(
         request.declarations, of_blocks, request.readings, request.fitted and request.own_files
@@ -448,7 +451,9 @@ def _undeclared_targets(rows: Dataset, campaign: Campaign) -> Iterator[str]:
         )
 
 
-def with_routes(rows: Dataset, blocks: Sequence[MeasurementSettings], declarations: Known, robot: Robot) -> Dataset:
+def with_routes(
+    rows: Dataset, blocks: Sequence[MeasurementSettings], declarations: InstrumentDeclarations, robot: Robot
+) -> Dataset:
     """The rows with the paths that they take.
 
     Raises:

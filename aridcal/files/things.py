@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.instruments.joined import GRASP
-from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kind import MeasurementKind, Role
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import WORLD, Block, Instruments, Things, Tie
-from aridcal.files.campaign import Job
+from aridcal.files.campaign import JobSettings
 from aridcal.files.instrument_settings import (
     CONTRADICTION_SIGMAS,
     AnchorSettings,
@@ -100,7 +100,7 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
 
 
 @dataclass(frozen=True)
-class Known:
+class InstrumentDeclarations:
     """All that a campaign says of its instruments, its tables included.
 
     Attributes:
@@ -167,7 +167,7 @@ class Known:
         return places[label].xyz.tolist(), 3 * [bool(np.isfinite(places[label].std))], places[label].std
 
 
-def known_of(campaign: Job) -> Known:
+def known_of(campaign: JobSettings) -> InstrumentDeclarations:
     """Read what a campaign says of its instruments, its tables of points and markers included.
 
     Raises:
@@ -182,11 +182,11 @@ def known_of(campaign: Job) -> Known:
             if label in markers:
                 raise MeasurementError(f"{board.file}: the marker {label!r} is on {markers[label].on}, too; rename one")
             markers[label] = replace(place, on=carrier)
-    return Known(settings, points, markers, str(campaign.path))
+    return InstrumentDeclarations(settings, points, markers, str(campaign.path))
 
 
 @dataclass(frozen=True)
-class Rows:
+class ThingReferences:
     """Things that the usable rows of a block refer to.
 
     Attributes:
@@ -194,7 +194,7 @@ class Rows:
         refers: Labels of the things, by the kind's roles, shape (n, 3).
     """
 
-    kind: Kind
+    kind: MeasurementKind
     refers: np.ndarray
 
     def labels(self, role: str) -> np.ndarray:
@@ -221,7 +221,7 @@ def with_trackers(
 
 
 def instruments_of(
-    declarations: Known, blocks: Sequence[Rows], joints: Collection[str], complete: bool
+    declarations: InstrumentDeclarations, blocks: Sequence[ThingReferences], joints: Collection[str], complete: bool
 ) -> tuple[Instruments, list[str]]:
     """All things that rows refer to, and remarks on things of which the rows tell too little.
 
@@ -256,7 +256,7 @@ def instruments_of(
     return Instruments(things, ties, _in_world(declarations, blocks, things)), remarks
 
 
-def _boards_of_markers(blocks: Sequence[Rows]) -> dict[str, str]:
+def _boards_of_markers(blocks: Sequence[ThingReferences]) -> dict[str, str]:
     """Name of the board of each marker."""
     boards: dict[str, str] = {}
     for rows in blocks:
@@ -291,7 +291,11 @@ def _check_names(by_role: dict[str, tuple[str, ...]], joints: Collection[str]) -
 
 
 def _role_of(
-    declarations: Known, by_role: dict[str, tuple[str, ...]], key: str, pair: tuple[str, str], roles: Sequence[str]
+    declarations: InstrumentDeclarations,
+    by_role: dict[str, tuple[str, ...]],
+    key: str,
+    pair: tuple[str, str],
+    roles: Sequence[str],
 ) -> str:
     """Role of two things that are named together; empty if a known point is not among the rows, which then tell nothing."""
     having = [role for role in roles if set(pair) <= set(by_role.get(role, ()))]
@@ -316,7 +320,9 @@ def _role_of(
     return ""
 
 
-def _lengths(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+def _lengths(
+    declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]], complete: bool
+) -> Iterator[Tie]:
     """Known lengths between things that rows refer to."""
     for number, length in enumerate(declarations.settings.lengths):
         key, (a, b) = f"lengths[{number}].between", length.between
@@ -327,7 +333,7 @@ def _lengths(declarations: Known, by_role: dict[str, tuple[str, ...]], complete:
                 yield Tie(role, a, b, "distance", length.length, length.std)
 
 
-def _check_against_places(declarations: Known, role: str, number: int, length: LengthSettings) -> None:
+def _check_against_places(declarations: InstrumentDeclarations, role: str, number: int, length: LengthSettings) -> None:
     """Refuse a length that the known places of its ends contradict."""
     places = {"point": declarations.points, "marker": declarations.markers}.get(role, {})
     ends = [places[label] for label in length.between if label in places]
@@ -341,7 +347,9 @@ def _check_against_places(declarations: Known, role: str, number: int, length: L
             )
 
 
-def _right_angles(declarations: Known, by_role: dict[str, tuple[str, ...]], complete: bool) -> Iterator[Tie]:
+def _right_angles(
+    declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]], complete: bool
+) -> Iterator[Tie]:
     """Right angles between planes that rows refer to."""
     for number, angle in enumerate(declarations.settings.perpendicular):
         a, b = angle.between
@@ -351,7 +359,7 @@ def _right_angles(declarations: Known, by_role: dict[str, tuple[str, ...]], comp
 
 
 def _too_few(
-    blocks: Sequence[Rows], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
+    blocks: Sequence[ThingReferences], things: dict[str, Things], counts: dict[str, Counter[str]], ties: Sequence[Tie]
 ) -> Iterator[str]:
     """Remarks on things with no more rows than their own unknowns need."""
     numbers = {role.name: sum(c.size for c in rows.kind.channels) for rows in blocks for role in rows.kind.roles}
@@ -369,7 +377,7 @@ def _too_few(
             )
 
 
-def _unreferred(declarations: Known, by_role: dict[str, tuple[str, ...]]) -> Iterator[str]:
+def _unreferred(declarations: InstrumentDeclarations, by_role: dict[str, tuple[str, ...]]) -> Iterator[str]:
     """Remarks on things that the campaign names and no row refers to; of a board not all markers need be seen."""
     of_role: dict[str, Mapping[str, object]] = {"point": declarations.points, **declarations.settings.declared}
     if "marker" not in by_role:
@@ -380,7 +388,9 @@ def _unreferred(declarations: Known, by_role: dict[str, tuple[str, ...]]) -> Ite
             yield f"{role} {listed(absent)}: no row refers to it; it is not used"
 
 
-def _in_world(declarations: Known, blocks: Sequence[Rows], things: dict[str, Things]) -> bool:
+def _in_world(
+    declarations: InstrumentDeclarations, blocks: Sequence[ThingReferences], things: dict[str, Things]
+) -> bool:
     """True where anything is known in the world frame, or was measured in it."""
     if any(rows.kind.tracked for rows in blocks):
         return True

@@ -13,7 +13,7 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.jobs.fleet.drifting import Drift, drifting
-from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, StandsOut, makes, standing_out
+from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, OutlyingFigure, makes, standing_out
 from aridcal.jobs.fleet.row_figures import are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import Row
 from aridcal.jobs.fleet.runs import FleetResults
@@ -169,7 +169,7 @@ def _were(count: int) -> str:
     return "was" if count == 1 else "were"
 
 
-def _values(out: StandsOut) -> tuple[str, str]:
+def _values(out: OutlyingFigure) -> tuple[str, str]:
     """A number of a robot, and the usual one, with their unit."""
     if not out.unit:
         channel = out.what.partition(" ")[2]

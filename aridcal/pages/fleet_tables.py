@@ -9,11 +9,11 @@ from typing import Any
 import pandas as pd
 
 from aridcal.jobs.fleet.drifting import drifting
-from aridcal.jobs.fleet.outliers import StandsOut, standing_out
+from aridcal.jobs.fleet.outliers import OutlyingFigure, standing_out
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
 from aridcal.jobs.fleet.runs import FleetResults
-from aridcal.jobs.fleet.study_figures import Estimate, Point, Scatter, found_again, points, scatters
+from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, found_again, points, scatters
 from aridcal.jobs.fleet.study_runs import SCHEMA as OF_RUNS
 from aridcal.jobs.fleet.study_runs import StudyResult
 
@@ -49,7 +49,7 @@ def nested_table(ran: FleetResults, column: str) -> pd.DataFrame:
 def outstanding_table(ran: FleetResults) -> pd.DataFrame:
     """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
     outliers, _ = standing_out(list(ran.now.values()))
-    return pd.DataFrame([asdict(out) for out in outliers], columns=_names(StandsOut))
+    return pd.DataFrame([asdict(out) for out in outliers], columns=_names(OutlyingFigure))
 
 
 def drift_table(ran: FleetResults) -> pd.DataFrame:
@@ -70,7 +70,7 @@ def case_table(done: StudyResult) -> pd.DataFrame:
     return pd.DataFrame([_case(point) for point in points(done.rows)])
 
 
-def _case(point: Point) -> Row:
+def _case(point: CaseFigures) -> Row:
     estimates = {name: getattr(point, name) for name in ("found", "named", "others", "final", "true")}
     row: Row = {name: getattr(point, name) for name in ("rows", "size", "runs", "failed")}
     for name, estimate in estimates.items():
@@ -86,7 +86,7 @@ def again_table(halves: Sequence[Row]) -> pd.DataFrame:
 
 def scatter_table(halves: Sequence[Row]) -> pd.DataFrame:
     """How far constants scatter over halves of a campaign's rows, [m] and [rad], beside what each run states."""
-    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(Scatter))
+    return pd.DataFrame([asdict(s) for s in scatters(halves)], columns=_names(ConstantScatter))
 
 
 def _estimate(name: str, estimate: Estimate | None) -> Row:

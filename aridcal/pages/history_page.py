@@ -15,7 +15,7 @@ from aridcal.jobs.history.wear import DAY_ZERO, ConstantHistory, History, RobotH
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
-from aridcal.pages.drawing.timelines import Stretch, sparkline, timeline
+from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
 from aridcal.pages.report.page import drawn
 from aridcal.system.wording import counted, enumerated, number, plus_minus, shown_in
 
@@ -242,7 +242,7 @@ def _caption(w: ConstantHistory) -> Content:
 
 def _picture(w: ConstantHistory) -> Markup:
     unit, scale = shown_in(w.unit)
-    stretches = [] if w.change is None else [Stretch(w.change.low, w.change.high, "when it began")]
+    stretches = [] if w.change is None else [TimeStretch(w.change.low, w.change.high, "when it began")]
     series = w.series
     alt = f"{w.name} of {w.robot} over time, with bars of two sigma"
     key = f"{w.robot}-{w.name}"

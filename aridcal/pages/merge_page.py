@@ -18,7 +18,7 @@ from aridcal.pages.drawing.plot import (
     GREY,
     LINE,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     clipped,
     dots,
@@ -156,9 +156,9 @@ def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -
     ]
     top = max((float(np.nanmax(v)) for _, v in curves if np.isfinite(v).any()), default=1.0)
     entries = [
-        Named("joints (nominal tip)", AFTER, "line"),
-        Named("tracker", BEFORE, "line"),
-        Named("row", GREY, "box"),
+        LegendEntry("joints (nominal tip)", AFTER, "line"),
+        LegendEntry("tracker", BEFORE, "line"),
+        LegendEntry("row", GREY, "box"),
     ]
     y = Scale(0.0, 1.05 * max(top, 1e-9))
     left = 2 * LINE + room_for(y, TICKS[1]) - 8

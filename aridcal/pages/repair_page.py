@@ -14,7 +14,7 @@ from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Change, Repaired
+from aridcal.jobs.maintain.repair import Repair, RepairChange
 from aridcal.pages.drawing.frame import Section, card, empty_page, framed_page
 from aridcal.pages.drawing.html import Content, attempt, bullets, noting, table, tag
 from aridcal.pages.report.identified_section import identified
@@ -29,7 +29,7 @@ MOST_ROWS = 40
 def write_repair_report(
     repair: RepairOutcomes,
     checked: CheckResult,
-    mended: Repaired,
+    mended: Repair,
     lineage: dict[str, Any],
     lines: list[str],
     handover: ControllerExports,
@@ -62,7 +62,7 @@ def write_repair_report(
 def _page(
     repair: RepairOutcomes,
     checked: CheckResult,
-    mended: Repaired,
+    mended: Repair,
     lineage: dict[str, Any],
     lines: list[str],
     handover: ControllerExports,
@@ -81,7 +81,7 @@ def _page(
     return framed_page(f"Repair of {repair.rows.robot.tree.name}", head, parts, foot(m))
 
 
-def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repaired) -> Iterator[Content]:
+def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repair) -> Iterator[Content]:
     """The first screen: how far off before, how far now, and what moved."""
     m, robot = repair.rows.measurements, repair.rows.robot
     names = ", ".join(path.name for path in m.origin.files)
@@ -122,7 +122,7 @@ def _card(repair: RepairOutcomes, k: int) -> Markup:
     return card(channel.noun, unit, ("before the repair", before), ("after the repair", after), said)
 
 
-def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
+def _moved(mended: Repair, lines: list[str]) -> Iterator[Content]:
     """What moved, by how much, and what the rows cannot tell it from."""
     yield bullets([line.strip() for line in lines])
     yield table(
@@ -133,7 +133,7 @@ def _moved(mended: Repaired, lines: list[str]) -> Iterator[Content]:
     )
 
 
-def _changes(change: Change) -> Iterator[list[Content]]:
+def _changes(change: RepairChange) -> Iterator[list[Content]]:
     """A line for each coefficient of what moved."""
     for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True):
         shown, scale = shown_in(unit)

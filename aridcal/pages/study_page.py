@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
-from aridcal.jobs.fleet.study_figures import CONFIDENCE, Estimate, Point, found_again, points, scatters
+from aridcal.jobs.fleet.study_figures import CONFIDENCE, CaseFigures, Estimate, found_again, points, scatters
 from aridcal.jobs.fleet.study_runs import StudyResult
 from aridcal.pages.drawing.figures import COLOURS, banded
 from aridcal.pages.drawing.frame import framed_page, sections
@@ -53,7 +53,7 @@ def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Mark
     return framed_page(f"{heading}: {title}", head, parts, f"aridcal {__version__}; every run is in study.parquet")
 
 
-def _power(cases: Sequence[Point], effect: str) -> Iterator[Content]:
+def _power(cases: Sequence[CaseFigures], effect: str) -> Iterator[Content]:
     """Shares of runs that find the effect."""
     yield tag(
         "p",
@@ -68,7 +68,7 @@ def _power(cases: Sequence[Point], effect: str) -> Iterator[Content]:
     yield table(head, lines, f"Shares of runs, with their {INTERVAL} (Wilson)", numbers=1)
 
 
-def _error(cases: Sequence[Point], rows: Sequence[Row]) -> Iterator[Content]:
+def _error(cases: Sequence[CaseFigures], rows: Sequence[Row]) -> Iterator[Content]:
     """Median errors."""
     channel = next((row["channel"] for row in rows if row.get("channel")), "")
     unit = channel.rpartition("_")[2]
@@ -135,9 +135,9 @@ def _not_done(failed: Sequence[Row], done: StudyResult) -> Iterator[Content]:
 
 
 def _by_rows_or_sizes(
-    cases: Sequence[Point],
+    cases: Sequence[CaseFigures],
     label: str,
-    of: Callable[[Point], tuple[float, float, float]],
+    of: Callable[[CaseFigures], tuple[float, float, float]],
     top: float | None,
 ) -> list[tuple[Content, Markup]]:
     """Curves against the number of rows, one for each size; against sizes, one for each number of rows; what is varied."""
@@ -168,7 +168,7 @@ def _spread(values: Sequence) -> list:
     return [values[k] for k in np.linspace(0, len(values) - 1, len(COLOURS)).round().astype(int).tolist()]
 
 
-def _case(point: Point) -> str:
+def _case(point: CaseFigures) -> str:
     """Which case it is."""
     parts = [f"{point.rows:,} rows"] if point.rows is not None else ["half of the rows"]
     parts += [f"size {point.size:g}"] if point.size is not None else []

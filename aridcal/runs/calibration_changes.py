@@ -9,11 +9,11 @@ import pandas as pd
 
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.history.comparison import compare, constants, lines
-from aridcal.system.progress import InWords
+from aridcal.system.progress import PrintedAnswer
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class Changes(InWords):
+class Changes(PrintedAnswer):
     """What changed between two calibrations, for Python.
 
     Attributes:

@@ -15,7 +15,7 @@ from aridcal.jobs.fleet.runs import FleetResults, computed, planned
 from aridcal.pages.fleet_page import fleet_page
 from aridcal.runs.result_folder import write_folder
 from aridcal.system.errors import shortened
-from aridcal.system.progress import InWords, Progress
+from aridcal.system.progress import PrintedAnswer, Progress
 from aridcal.system.wording import counted
 from aridcal.system.writing.staging import clear_up
 from aridcal.system.writing.whole_files import atomic_file, claimed
@@ -31,7 +31,7 @@ MOST_NAMED = 20
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class FleetRun(InWords):
+class FleetRun(PrintedAnswer):
     """What became of a fleet, for Python.
 
     Attributes:

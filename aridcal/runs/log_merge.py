@@ -16,7 +16,7 @@ from aridcal.jobs.merge import bags, log_files
 from aridcal.jobs.merge.bag_camera import BagCamera, Take
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
 from aridcal.jobs.merge.merging import MergeResult, merged
-from aridcal.jobs.prepare.guesses import Asker, Choose, nobody
+from aridcal.jobs.prepare.guesses import Choose, Chooser, nobody
 from aridcal.pages.merge_page import lines
 from aridcal.system.errors import AridcalError, RobotError
 from aridcal.system.progress import SHOWN_REMARKS, Screen
@@ -44,7 +44,7 @@ class Logs:
     joints: JointLog
     measured: TrackerLog | BagCamera
     bag: Path
-    asker: Asker
+    asker: Chooser
 
     def frames(self, numbers: frozenset[int], take: Take) -> None:
         """Go through the camera's images; see :func:`aridcal.jobs.merge.bags.frames`."""
@@ -84,7 +84,7 @@ def read_logs(
     Raises:
         AridcalError: the logs cannot be read.
     """
-    asker = Asker(choose, settled, drafts=False)
+    asker = Chooser(choose, settled, drafts=False)
     asker.check(QUESTIONS)
     source = described(urdf, {}, {})
     try:

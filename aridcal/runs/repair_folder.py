@@ -16,7 +16,7 @@ from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
 from aridcal.jobs.maintain.new_rows import read_new_rows
 from aridcal.jobs.maintain.outcomes import RepairOutcomes, repair_outcomes
-from aridcal.jobs.maintain.repair import Repaired, repaired
+from aridcal.jobs.maintain.repair import Repair, repaired
 from aridcal.pages.drawing.scene import write_scene
 from aridcal.pages.repair_page import write_repair_report
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
@@ -68,7 +68,7 @@ def _write(
     out: Path,
     outcomes: RepairOutcomes,
     checked: CheckResult,
-    repair: Repaired,
+    repair: Repair,
     parents: dict[str, Any],
     lines: list[str],
     figures: dict[str, Any],

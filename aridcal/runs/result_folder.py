@@ -31,7 +31,7 @@ RESULT_FOLDERS = frozenset({"regions"})
 
 
 @dataclass(frozen=True)
-class Written:
+class FolderRemarks:
     """Remarks on a folder that was written.
 
     Attributes:
@@ -45,7 +45,7 @@ class Written:
 
 def write_folder(
     outcome: Outcome, folder: Path, progress: Progress = SILENT, beside: Mapping[str, str] = MappingProxyType({})
-) -> Written:
+) -> FolderRemarks:
     """Write every file of a result folder: all appear together or none does.
 
     Figures come first. A picture that cannot be drawn costs a notice and no other file.
@@ -83,4 +83,4 @@ def write_folder(
         notices = notices_read + write_report(outcome, handover, stage / "report.html", progress) + notices
         for name, text in beside.items():
             (stage / name).write_text(text, encoding="utf-8")
-    return Written(handover, notices)
+    return FolderRemarks(handover, notices)

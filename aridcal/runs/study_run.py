@@ -16,7 +16,7 @@ from aridcal.jobs.fleet.trials import sought, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.pages.study_page import study_page
 from aridcal.system.errors import shortened
-from aridcal.system.progress import InWords, Progress
+from aridcal.system.progress import PrintedAnswer, Progress
 from aridcal.system.wording import counted
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
@@ -28,7 +28,7 @@ PAGE = "study.html"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class StudyRun(InWords):
+class StudyRun(PrintedAnswer):
     """What a study found, for Python.
 
     Attributes:

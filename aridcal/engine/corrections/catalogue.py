@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.condition_kinds import CONDITION_KINDS
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed
+from aridcal.engine.corrections.effect_kind import Declaration, Kind, ObservedRows
 from aridcal.engine.corrections.head_kinds import HEAD_KINDS
 from aridcal.engine.corrections.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.engine.corrections.joint_kinds import JOINT_KINDS
@@ -29,7 +29,7 @@ CONSTANT_COLUMN = 1e-9
 
 
 @dataclass(frozen=True)
-class Barred:
+class UntestableEffect:
     """A candidate that these data cannot test, and why."""
 
     what: str
@@ -41,39 +41,39 @@ def is_of_head(kind: str) -> bool:
     return KINDS[kind].of_head != ""
 
 
-def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[Barred]]:
+def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[UntestableEffect]]:
     """Measured columns that effects may depend on, and why the others may not."""
     good, barred = [], []
     for name, values in columns.items():
         empty = int(np.isnan(values).sum())
         if empty:
-            barred.append(Barred(f"effects of {name}", f"the column has {empty} empty cells"))
+            barred.append(UntestableEffect(f"effects of {name}", f"the column has {empty} empty cells"))
         elif np.ptp(values) <= CONSTANT_COLUMN * max(1.0, float(np.abs(values).max())):
-            barred.append(Barred(f"effects of {name}", "the column is constant"))
+            barred.append(UntestableEffect(f"effects of {name}", "the column is constant"))
         else:
             good.append(name)
     return tuple(good), barred
 
 
-def barred_joints(rows: Observed) -> list[Barred]:
+def barred_joints(rows: ObservedRows) -> list[UntestableEffect]:
     """Joints whose own effects cannot be tested."""
     still = [j.name for j in rows.robot.joints if not rows.moves(j)]
-    barred = [Barred(f"effects of {name}'s reading", "the joint never moves") for name in still]
+    barred = [UntestableEffect(f"effects of {name}'s reading", "the joint never moves") for name in still]
     loads = [values for name, values in rows.table.items() if ".gravity_" in name]
     if not loads:
         why = f"the column {' or '.join(rows.masses)} has empty cells"
-        barred.append(Barred("compliance and load-side backlash", why))
+        barred.append(UntestableEffect("compliance and load-side backlash", why))
     elif not (np.any(loads) or any(rows.robot.mass_beyond > 0)):
-        barred.append(Barred("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
+        barred.append(UntestableEffect("compliance and load-side backlash", "the URDF has no masses beyond any joint"))
     return barred
 
 
-def candidates(rows: Observed, kinds: Iterable[str]) -> list[Effect]:
+def candidates(rows: ObservedRows, kinds: Iterable[str]) -> list[Effect]:
     """All effects of some kinds that these rows can test."""
     return [effect for kind in kinds for effect in KINDS[kind].testable(rows)]
 
 
-def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
+def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect:
     """The effect that a campaign states.
 
     Args:
@@ -115,7 +115,7 @@ def declared(rows: Observed, declaration: Declaration, place: str) -> Effect:
     return effect if d.at is None else _at_moment(rows, effect, d, place)
 
 
-def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
+def _at_thing(rows: ObservedRows, d: Declaration, place: str) -> Effect:
     """The effect that a campaign states of an instrument: with the components that it names, or else the first that may be.
 
     Raises:
@@ -137,7 +137,7 @@ def _at_thing(rows: Observed, d: Declaration, place: str) -> Effect:
     return replace(at_place[0], coefficients=tuple(by_component[component] for component in d.motion))
 
 
-def _at_moment(rows: Observed, effect: Effect, d: Declaration, place: str) -> Effect:
+def _at_moment(rows: ObservedRows, effect: Effect, d: Declaration, place: str) -> Effect:
     """An effect whose step is at the row or time that a declaration gives.
 
     Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDER, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed, middle, slope
+from aridcal.engine.corrections.effect_kind import Kind, ObservedRows, middle, slope
 
 STANDING = {
     "anchor": ("x", "y", "z", "offset"),
@@ -29,7 +29,7 @@ MOST_STEPPED = 24
 evidence."""
 
 
-def _thermal(rows: Observed) -> Iterator[Effect]:
+def _thermal(rows: ObservedRows) -> Iterator[Effect]:
     """Difference T - mean(T) for each motion of each place, of frames several together; of a rail also times its travel."""
     for column in rows.columns("temperature"):
         mean = middle(rows.table[column])
@@ -52,7 +52,7 @@ def _of_a_frame(kind: str, where: str, column: str, mean: float) -> Iterator[Eff
         yield Effect(kind, where, coefficients)
 
 
-def _drift(rows: Observed) -> Iterator[Effect]:
+def _drift(rows: ObservedRows) -> Iterator[Effect]:
     """Difference t - mean(t) for each motion of a frame, for its shift, its turn and both, and for each joint's zero."""
     if "time" not in rows.measured:
         return
@@ -63,7 +63,7 @@ def _drift(rows: Observed) -> Iterator[Effect]:
         yield Effect("drift", j.name, (slope(j.name, "axis", "time", mean),))
 
 
-def _shift(rows: Observed) -> Iterator[Effect]:
+def _shift(rows: ObservedRows) -> Iterator[Effect]:
     """Each frame, each joint's zero and each thing that stands around, half way through the rows: where is for the data to say.
 
     All motions of a frame that the rows can show: a target that slips turns, too. Of things only while there are few.
@@ -83,7 +83,7 @@ def _shift(rows: Observed) -> Iterator[Effect]:
         yield Effect("shift", where, tuple(Coefficient(where, component, step) for component in motion))
 
 
-def _payload_compliance(rows: Observed) -> Iterator[Effect]:
+def _payload_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """The payloads' torque about each axis; each payload itself for each motion of each joint."""
     masses = [name for name in rows.masses if name in rows.measured]
     for j in rows.robot.joints if masses else ():

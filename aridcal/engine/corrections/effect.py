@@ -13,7 +13,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import CONSTANT, Basis, basis_name
 from aridcal.engine.corrections.labels import STATION
-from aridcal.engine.corrections.smooth import Nodes, Part, Shape
+from aridcal.engine.corrections.smooth import Nodes, Shape, SmoothPart
 from aridcal.engine.robot.kinematics import transverse
 
 FRAMES = ("world_base", "tip_target")
@@ -106,7 +106,7 @@ class Effect:
         functions = groupby(self.coefficients, attrgetter("component", "basis.of"))
         return tuple(self._samples([c.basis for c in group]) for _, group in functions)
 
-    def _samples(self, bases: Sequence[Basis]) -> Part:
+    def _samples(self, bases: Sequence[Basis]) -> SmoothPart:
         if bases[0].form == "ball":
             x, y, z, radii = np.array([basis.numbers for basis in bases]).T
             return Nodes(tuple(zip(*(np.round(of / radii, 9).tolist() for of in (x, y, z)), strict=True)))

@@ -43,7 +43,7 @@ class Declaration(Protocol):
 
 
 @dataclass(frozen=True)
-class Observed:
+class ObservedRows:
     """The rows that effects are to be tested on.
 
     Attributes:
@@ -126,12 +126,12 @@ class Kind:
     bases: tuple[str, ...]
     example: str
     doc: str
-    testable: Callable[[Observed], Iterator[Effect]]
+    testable: Callable[[ObservedRows], Iterator[Effect]]
     of_head: Literal["", "camera", "sonar"] = ""
     key: Literal["with", "by", "at"] | None = None
     bys: tuple[str, ...] = ()
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
-    of_declaration: Callable[[Observed, Declaration], Iterator[Effect]] | None = None
+    of_declaration: Callable[[ObservedRows, Declaration], Iterator[Effect]] | None = None
     asked: bool = False
     exclusive: bool = False
     columns: Callable[[Declaration], tuple[str, ...]] = lambda _: ()

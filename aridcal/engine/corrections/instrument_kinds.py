@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 
 from aridcal.engine.corrections.basis import ALWAYS, Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, Observed
+from aridcal.engine.corrections.effect_kind import Kind, ObservedRows
 from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG
 
 POWERS = (2.0, 3.0)
@@ -18,10 +18,10 @@ PLACES_EACH = 2
 
 def of_things(
     kind: str, roles: Collection[str], *alternatives: tuple[str, ...]
-) -> Callable[[Observed], Iterator[Effect]]:
+) -> Callable[[ObservedRows], Iterator[Effect]]:
     """Effects at the things of some roles: components off their stated values, where these are not identified anyway."""
 
-    def testable(rows: Observed) -> Iterator[Effect]:
+    def testable(rows: ObservedRows) -> Iterator[Effect]:
         for (of, where), exact in rows.held.items():
             for components in alternatives:
                 if of in roles and set(components) <= set(exact):
@@ -30,12 +30,12 @@ def of_things(
     return testable
 
 
-def _of_role(rows: Observed, role: str) -> Iterator[str]:
+def _of_role(rows: ObservedRows, role: str) -> Iterator[str]:
     """Names of the things of a role."""
     return (where for of, where in rows.held if of == role)
 
 
-def _range_error(rows: Observed) -> Iterator[Effect]:
+def _range_error(rows: ObservedRows) -> Iterator[Effect]:
     """A tracker that is off along the line of sight by its range squared; a wire that is off by a power of its length."""
     yield from of_things("range_error", ("tracker",), ("square",))(rows)
     for where in _of_role(rows, "anchor"):
@@ -44,13 +44,13 @@ def _range_error(rows: Observed) -> Iterator[Effect]:
             yield Effect("range_error", where, (Coefficient(where, "offset", basis),))
 
 
-def _wire_sag(rows: Observed) -> Iterator[Effect]:
+def _wire_sag(rows: ObservedRows) -> Iterator[Effect]:
     """The reading of a wire, longer by the bow in which it hangs."""
     for where in _of_role(rows, "anchor"):
         yield Effect("wire_sag", where, (Coefficient(where, "offset", Basis("linear", (where + SAG,), (0.0,))),))
 
 
-def _flatness(rows: Observed) -> Iterator[Effect]:
+def _flatness(rows: ObservedRows) -> Iterator[Effect]:
     """A plate's height over its plane: the polynomial of second order of the place on it, then that of third order."""
     for where in _of_role(rows, "plane"):
         places = rows.referred.get(("plane", where), 0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, Observed, bumps, middle, slope, turns
+from aridcal.engine.corrections.effect_kind import Declaration, Kind, ObservedRows, bumps, middle, slope, turns
 from aridcal.engine.corrections.loads import bearing_components
 from aridcal.engine.levels import SLIGHT
 from aridcal.engine.robot.chain import Joint
@@ -38,14 +38,14 @@ ACROSS = ("r1", "r2", "t1", "t2")
 """Motions of an axis: it tilts or it runs out."""
 
 
-def _joint_gain(rows: Observed) -> Iterator[Effect]:
+def _joint_gain(rows: ObservedRows) -> Iterator[Effect]:
     """Difference q - mean(q), about the joint's own axis."""
     for j in rows.moving():
         gain = slope(j.name, "axis", j.name, middle(rows.table[j.name]))
         yield Effect("joint_gain", j.name, (gain,))
 
 
-def _joint_harmonic(rows: Observed) -> Iterator[Effect]:
+def _joint_harmonic(rows: ObservedRows) -> Iterator[Effect]:
     """sin(k q) and cos(k q) for each likely order k, and for the first two together."""
     for j in rows.moving("revolute"):
         for order in ORDERS:
@@ -60,14 +60,14 @@ def _harmonic_of_order(d: Declaration, order: float) -> Iterator[Effect]:
     yield Effect(d.kind, d.where, turns(d.where, "axis", d.where, order), (order,))
 
 
-def _joint_map(rows: Observed) -> Iterator[Effect]:
+def _joint_map(rows: ObservedRows) -> Iterator[Effect]:
     """A smooth function of q, about the joint's own axis."""
     for j in rows.moving():
         curve = bumps(j.name, "axis", j.name, rows.table[j.name], MAP_KNOTS)
         yield Effect("joint_map", j.name, curve, smooth=True)
 
 
-def _joint_backlash(rows: Observed) -> Iterator[Effect]:
+def _joint_backlash(rows: ObservedRows) -> Iterator[Effect]:
     """The side of approach, -1 or 1, or the sign of gravity's torque where it takes either."""
     for j in rows.robot.joints:
         direction, load = f"{j.name}_direction", f"{j.name}.gravity_torque"
@@ -78,7 +78,7 @@ def _joint_backlash(rows: Observed) -> Iterator[Effect]:
             yield Effect("joint_backlash", j.name, (flank,), by="load")
 
 
-def _joint_compliance(rows: Observed) -> Iterator[Effect]:
+def _joint_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """Gravity's torque (force, if prismatic), about the joint's own axis."""
     for j in rows.robot.joints:
         load = f"{j.name}.gravity_torque"
@@ -86,7 +86,7 @@ def _joint_compliance(rows: Observed) -> Iterator[Effect]:
             yield Effect("joint_compliance", j.name, (slope(j.name, "axis", load),))
 
 
-def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
+def _bearing_compliance(rows: ObservedRows) -> Iterator[Effect]:
     """Each rotation that a joint does not drive under its own moment; a rail's also times powers of its travel."""
     for j in rows.robot.joints:
         travels = j.kind == "prismatic" and rows.moves(j)
@@ -106,14 +106,14 @@ def _bearing_compliance(rows: Observed) -> Iterator[Effect]:
             yield Effect("bearing_compliance", j.name, tuple(together))
 
 
-def _tilts_with_travel(rows: Observed, rail: Joint, component: str, load: str) -> list[Coefficient]:
+def _tilts_with_travel(rows: ObservedRows, rail: Joint, component: str, load: str) -> list[Coefficient]:
     """A load times powers of a rail's travel, as a share of its largest."""
     largest = float(np.abs(rows.table[rail.name]).max())
     bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in POWERS]
     return [Coefficient(rail.name, component, basis) for basis in bases]
 
 
-def _axis_wobble(rows: Observed) -> Iterator[Effect]:
+def _axis_wobble(rows: ObservedRows) -> Iterator[Effect]:
     """sin(k q) and cos(k q) of tilt and of runout: each direction by itself, both, and all four."""
     for j in rows.moving("revolute"):
         for order in WOBBLES:
@@ -131,10 +131,10 @@ def _wobble_of_order(d: Declaration, order: float) -> Iterator[Effect]:
         yield Effect(d.kind, d.where, turns(d.where, component, d.where, order), (order,))
 
 
-def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Observed], Iterator[Effect]]:
+def _rail(kind: str, components: tuple[str, ...]) -> Callable[[ObservedRows], Iterator[Effect]]:
     """Functions of a rail's travel: a smooth one, polynomials of rising degree, and waves."""
 
-    def of_travel(rows: Observed) -> Iterator[Effect]:
+    def of_travel(rows: ObservedRows) -> Iterator[Effect]:
         for j in rows.moving("prismatic"):
             travel = rows.table[j.name]
             centre, half = float(travel.min() + travel.max()) / 2, float(np.ptp(travel)) / 2
@@ -150,7 +150,7 @@ def _rail(kind: str, components: tuple[str, ...]) -> Callable[[Observed], Iterat
     return of_travel
 
 
-def _joint_coupling(rows: Observed) -> Iterator[Effect]:
+def _joint_coupling(rows: ObservedRows) -> Iterator[Effect]:
     """Each joint by the reading of each other one that moves, on the same limb."""
     for j in rows.robot.joints:
         for other in rows.moving():

@@ -14,7 +14,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, Kind, Observed, bumps
+from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, Kind, ObservedRows, bumps
 from aridcal.engine.corrections.joint_kinds import RAIL_KNOTS
 from aridcal.engine.corrections.labels import STATION
 from aridcal.engine.corrections.sights import TARGET
@@ -37,7 +37,7 @@ that is smooth over the nodes goes on a little."""
 SHIFT, TURN = ("x", "y", "z"), ("roll", "pitch", "yaw")
 
 
-def _regional(rows: Observed) -> Iterator[Effect]:
+def _regional(rows: ObservedRows) -> Iterator[Effect]:
     """Tilts of each link along each rail; by label also joints' zeros and frames."""
     for rail in rows.moving("prismatic"):
         for where, motion in _links(rows):
@@ -49,14 +49,14 @@ def _regional(rows: Observed) -> Iterator[Effect]:
             yield _varying(rows, "regional", where, motion, STATION)
 
 
-def _residual_field(rows: Observed) -> Iterator[Effect]:
+def _residual_field(rows: ObservedRows) -> Iterator[Effect]:
     """The target's own shift over its place, alike over distances of an octave each."""
     if TARGET[0] in rows.table:
         field = _varying(rows, "residual_field", "world_base", SHIFT, IN_SPACE)
         yield from widths(field) if field.coefficients else ()
 
 
-def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _links(rows: ObservedRows) -> Iterator[tuple[str, tuple[str, ...]]]:
     """The bend and twist of each link; of one whose next axis meets its own, of the origin beyond it."""
     for link in links_down(rows.robot):
         if not link.singular:
@@ -65,7 +65,7 @@ def _links(rows: Observed) -> Iterator[tuple[str, tuple[str, ...]]]:
             yield str(link.next_origin), ("pitch", "roll")
 
 
-def _declared(rows: Observed, d: Declaration) -> Iterator[Effect]:
+def _declared(rows: ObservedRows, d: Declaration) -> Iterator[Effect]:
     """The effect of a declaration: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
     motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
     by = d.by or IN_SPACE
@@ -76,7 +76,7 @@ def _declared(rows: Observed, d: Declaration) -> Iterator[Effect]:
             yield effect
 
 
-def _motions(rows: Observed, where: str) -> tuple[str, ...]:
+def _motions(rows: ObservedRows, where: str) -> tuple[str, ...]:
     """Components that may vary at a place: of frames, of a joint and of its link."""
     if where in FRAMES:
         return FRAME_COMPONENTS
@@ -84,7 +84,7 @@ def _motions(rows: Observed, where: str) -> tuple[str, ...]:
     return ("axis", *FRAME_COMPONENTS, *of_link)
 
 
-def _varying(rows: Observed, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
+def _varying(rows: ObservedRows, kind: str, where: str, motion: tuple[str, ...], by: str) -> Effect:
     """Motions of one place as smooth functions of a covariate, or of the target's place; empty where there are too few.
 
     By label they are as many numbers as there are labels, each alike in size alone.

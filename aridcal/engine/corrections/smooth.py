@@ -37,10 +37,10 @@ class Nodes:
     places: tuple[tuple[float, float, float], ...]
 
 
-Part = tuple[int, ...] | Nodes
+SmoothPart = tuple[int, ...] | Nodes
 """Samples of one function: knots along each of its covariates, or nodes in space."""
 
-Shape = tuple[Part, ...]
+Shape = tuple[SmoothPart, ...]
 """Samples of several functions, one after the other: independent beforehand, but alike in size and length."""
 
 

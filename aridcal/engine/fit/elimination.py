@@ -26,7 +26,7 @@ from scipy.sparse.csgraph import connected_components
 from aridcal.engine.fit.normal_equations import NormalEquations, directions
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.instruments.setup import Instruments, Tie
-from aridcal.engine.model.predictions import Measured, States
+from aridcal.engine.model.predictions import Observations, ThingStates
 from aridcal.engine.numerics import TINY
 
 STEP = 1e-6
@@ -76,7 +76,7 @@ class Groups:
 
 
 @dataclass(frozen=True)
-class Known:
+class PriorRows:
     """Prior knowledge of groups as T rows of unit noise: ties, and places with a declared uncertainty.
 
     Attributes:
@@ -197,7 +197,7 @@ def projector(
     return Projector(B, group, pull)
 
 
-def groups(measured: Measured) -> Groups | None:
+def groups(measured: Observations) -> Groups | None:
     """Groups of the things of roles that may have many; None where none of these things has an unknown."""
     things = {name: t for name, t in measured.instruments.things.items() if t.role.many}
     first = dict(zip(things, np.cumsum([0, *(len(t) for t in things.values())]).tolist(), strict=False))
@@ -232,7 +232,7 @@ def groups(measured: Measured) -> Groups | None:
     return Groups(row, role, thing, measured.roles, group, slot, unknown)
 
 
-def known(groups: Groups, instruments: Instruments, states: States) -> Known:
+def known(groups: Groups, instruments: Instruments, states: ThingStates) -> PriorRows:
     """Ties and declared uncertainties of things as rows, linearised where the things are."""
     rows: list[tuple[int, np.ndarray, float]] = []
     width = groups.unknown.shape[1]
@@ -248,7 +248,7 @@ def known(groups: Groups, instruments: Instruments, states: States) -> Known:
             by[slot[k, component]] = 1.0 / std
             deviation = (things.start[k, component] - states[name][k, component]) / std
             rows.append((int(groups.group[name][k]), by, float(deviation)))
-    return Known(
+    return PriorRows(
         group=np.array([g for g, _, _ in rows], dtype=int),
         by=np.array([by for _, by, _ in rows]).reshape(-1, width),
         left=np.array([deviation for _, _, deviation in rows]),
@@ -256,7 +256,7 @@ def known(groups: Groups, instruments: Instruments, states: States) -> Known:
 
 
 def _row_of_tie(
-    tie: Tie, groups: Groups, instruments: Instruments, states: States, width: int
+    tie: Tie, groups: Groups, instruments: Instruments, states: ThingStates, width: int
 ) -> tuple[int, np.ndarray, float] | None:
     """A tie as a row: group, columns, and declared minus present value in sigmas; None where no end of it has an unknown."""
     things = instruments.things[tie.role]
@@ -284,7 +284,7 @@ def _value_of_tie(tie: Tie, first: np.ndarray, second: np.ndarray) -> float:
     return float(np.linalg.norm(a - b) if tie.form == "distance" else a @ b)
 
 
-def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> Elimination:
+def solved(sums: Sums, groups: Groups, beforehand: PriorRows, sigma: np.ndarray) -> Elimination:
     """Solve for all groups.
 
     Args:
@@ -305,7 +305,7 @@ def solved(sums: Sums, groups: Groups, beforehand: Known, sigma: np.ndarray) -> 
 
 
 def reduced(
-    equations: NormalEquations, sums: Sums, elimination: Elimination, beforehand: Known, sigma: np.ndarray
+    equations: NormalEquations, sums: Sums, elimination: Elimination, beforehand: PriorRows, sigma: np.ndarray
 ) -> NormalEquations:
     """Normal equations of the coefficients with the groups solved for; prior knowledge counts in the groups' main channel.
 
@@ -338,7 +338,7 @@ def reduced(
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ elimination.rank, 0.0))
 
 
-def moved(states: States, groups: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
+def moved(states: ThingStates, groups: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
     """Where the things are after a step of the groups' unknowns, shape (G, U)."""
     after = dict(states)
     for name, slot in groups.slot.items():
@@ -350,6 +350,6 @@ def moved(states: States, groups: Groups, instruments: Instruments, step: np.nda
     return after
 
 
-def tied_columns(X: np.ndarray, beforehand: Known) -> np.ndarray:
+def tied_columns(X: np.ndarray, beforehand: PriorRows) -> np.ndarray:
     """Prior knowledge of the groups as rows of the coefficients, in sigmas, shape (T, K); X as of :class:`Elimination`."""
     return -np.einsum("tu,tuk->tk", beforehand.by, X[beforehand.group])

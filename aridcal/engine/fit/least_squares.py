@@ -12,11 +12,11 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.elimination import Groups
 from aridcal.engine.fit.flags import coarsest, flagged, limits, robust_sigma
 from aridcal.engine.fit.identifiable import Subset, identifiable
-from aridcal.engine.fit.normal_equations import Combined, Prior, condition, inverse, solve
+from aridcal.engine.fit.normal_equations import CombinedEquations, Prior, condition, inverse, solve
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.residual import Linearisation, linearise, things_again, triangle
 from aridcal.engine.instruments.channels import spread
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.numerics import FLOOR, RANK, RIDGE, ROUNDS, STEPS
 from aridcal.engine.rows.dataset import with_sigma
 from aridcal.system.errors import NotIdentifiable
@@ -63,7 +63,7 @@ constant is barely identifiable the way to the optimum is narrow and bent, and d
 
 SLACK = 0.5
 """Work: Squares, in sigmas, by which the sum may grow where readings are what was observed: it is not what is minimised there,
-but nearly (see :meth:`aridcal.engine.model.predictions.Measured.agreeing`)."""
+but nearly (see :meth:`aridcal.engine.model.predictions.Observations.agreeing`)."""
 
 VANISHED = 1e-2
 """Work: Sigmas of a coefficient: a gradient that asks for less has vanished."""
@@ -208,11 +208,11 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
     at_once = linearise(problem, theta, weight, even) if not robust and problem.measured.direct else None
     scale = robust_sigma(at_once.residual if at_once else problem.scaled_residual(theta), channels)
 
-    def noise_at(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+    def noise_at(equations: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
         estimate = scale if robust else _noise_of_residuals(equations, sigma)
         return declared(np.maximum(estimate, ABREAST * coarsest(estimate, channels)) if abreast else estimate)
 
-    def steady(equations: Combined, sigma: np.ndarray) -> np.ndarray:
+    def steady(equations: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
         for _ in range(ROUNDS):
             before_sigma, sigma = sigma, noise_at(equations, sigma)
             if np.all(np.abs(sigma - before_sigma) <= STEADY * before_sigma):
@@ -221,7 +221,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
 
     # Until rows are weighed channels count beside one another by their robust scale, then by their noise.
     current = at_once or linearise(problem, theta, weight, scale if robust else declared(scale))
-    equations = Combined(current.equations, prior)
+    equations = CombinedEquations(current.equations, prior)
     sigma = noise_at(equations, declared(scale))
     damping, share, steps = 0.0, 1.0, 0
     while steps < STEPS and damping < MOST_DAMPING:
@@ -244,7 +244,7 @@ def minimise(problem: Problem, theta: np.ndarray, weight: np.ndarray | None, pri
         after = trial.squares(current.weight, sigma, channels) + equations.squares(theta + step)
         steps += 1
         if after <= before + (0.0 if problem.measured.direct else SLACK) or last:
-            equations = equations if trial is current else Combined(trial.equations, prior)
+            equations = equations if trial is current else CombinedEquations(trial.equations, prior)
             problem, theta, current = ahead, theta + step, trial
             damping = 0.0 if damping < FIRST_DAMPING else damping / 10
             scale = robust_sigma(current.residual, channels) if robust else scale
@@ -293,7 +293,7 @@ def fit(
             break
         weight = new_weight
     equations, sigma = minimum.at.equations, minimum.sigma
-    combined = Combined(equations, prior)
+    combined = CombinedEquations(equations, prior)
     inner = inverse(combined.information(sigma), ridge=0.0)
     H = equations.information(sigma) + (0.0 if prior is None else prior.precision)
     return Fit(
@@ -472,7 +472,7 @@ def _rows_for_rough_fit(problem: Problem) -> np.ndarray:
     return thin(problem.rows, round(most * max(1.0, NUMBERS / numbers)), problem.groups)
 
 
-def thin(rows: Rows, most: int, groups: Groups | None = None) -> np.ndarray:
+def thin(rows: ModelRows, most: int, groups: Groups | None = None) -> np.ndarray:
     """Ascending row numbers: all, or a reproducible random choice of about ``most``, every frame with its share.
 
     Where things have few rows each, all rows of a thing are chosen or none: one row tells nothing beside the thing's place.
@@ -499,7 +499,7 @@ def _of_fewer_coefficients(problem: Problem, kept: Sequence[int]) -> Problem:
     return replace(problem, measured=problem.measured.narrowed(kept))
 
 
-def _noise_of_residuals(combined: Combined, sigma: np.ndarray) -> np.ndarray:
+def _noise_of_residuals(combined: CombinedEquations, sigma: np.ndarray) -> np.ndarray:
     """Noise of each channel from the residuals, shape (C,): the root of squares over the remaining degrees of freedom."""
     equations = combined.equations
     freedom = equations.count - equations.spent(inverse(combined.information(sigma), ridge=0.0), sigma)

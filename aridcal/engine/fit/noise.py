@@ -18,7 +18,7 @@ WORTH_SAYING = 0.2
 
 
 @dataclass(frozen=True)
-class Repeats:
+class RepeatScatter:
     """Rows that repeat a configuration (ISO 9283's attained poses).
 
     Attributes:
@@ -37,7 +37,7 @@ class Repeats:
     repeatability: float
 
 
-def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
+def repeats(rows: Dataset, residual: np.ndarray) -> RepeatScatter | None:
     """Scatter of rows that repeat a configuration; None where none does.
 
     Residuals, not raw poses, are compared: readings of repeats differ a little, and the model predicts the difference. Repeats
@@ -72,7 +72,7 @@ def repeats(rows: Dataset, residual: np.ndarray) -> Repeats | None:
             distances.append(np.linalg.norm(off[there][:, part], axis=1) * np.sqrt(n[there] / (n[there] - 1.0)))
     distance = np.concatenate(distances)
     spread = float(distance.mean() + 3.0 * distance.std(ddof=1)) if len(distance) else np.nan
-    return Repeats(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
+    return RepeatScatter(groups, int(repeated.sum()), np.array(sigma), np.array(freedom), spread)
 
 
 def copies(rows: Dataset) -> np.ndarray:

@@ -325,7 +325,7 @@ class Prior:
         return _both_sides(self.basis, self.precision)
 
 
-class Combined:
+class CombinedEquations:
     """Equations of a step of K coefficients in the combinations that a prior holds independent.
 
     With B the prior's basis, :math:`B^T A_c^T A_c B` is computed once; each trial of a noise costs a sum over channels.

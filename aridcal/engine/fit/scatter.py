@@ -29,7 +29,7 @@ columns, is then 1e-5 of what is left."""
 
 
 @dataclass(frozen=True)
-class Columns:
+class ResidualColumns:
     """Residuals and the columns that are fitted to them, N rows of m numbers, K columns.
 
     Attributes:
@@ -72,12 +72,12 @@ class Scatter:
     blocks: np.ndarray
     things: np.ndarray | None = None
     clump: np.ndarray | None = None
-    near: Columns | None = None
+    near: ResidualColumns | None = None
 
     @property
-    def columns(self) -> Columns:
+    def columns(self) -> ResidualColumns:
         """Residuals and columns as they are, not conditioned."""
-        return Columns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
+        return ResidualColumns(self.y, self.A, self.precision, None, np.zeros(self.A.shape[2]), 0.0)
 
     @cached_property
     def fixed(self) -> np.ndarray:
@@ -121,7 +121,7 @@ def told_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Place:
+class LikelihoodPoint:
     """The likelihood at some variances: N rows of m numbers, K columns.
 
     Attributes:
@@ -148,7 +148,7 @@ class _White:
     Attributes:
         L: Cholesky factors of their covariances, shape (N, m, m).
         root: Inverses of these, shape (N, m, m).
-        Q: See :class:`Place`.
+        Q: See :class:`LikelihoodPoint`.
         logdet: Of the covariances and of the things' equations.
     """
 
@@ -173,16 +173,16 @@ def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
     slope = precision @ t
     offset = _logdet(factor, scale) + float(slope @ t)
     A = T.astype(np.float32).reshape(scatter.A.shape)
-    return replace(scatter, near=Columns(remainder, A, precision, white.L, slope, offset))
+    return replace(scatter, near=ResidualColumns(remainder, A, precision, white.L, slope, offset))
 
 
-def place(scatter: Scatter, theta: np.ndarray) -> Place:
+def place(scatter: Scatter, theta: np.ndarray) -> LikelihoodPoint:
     """The likelihood at some variances, shape (C,); minus infinity where the covariance of a row is not positive."""
     n, m, count = scatter.A.shape
     white = _whiten(scatter, theta)
     if white is None:
         nothing = np.zeros((n, m, m))
-        return Place(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
+        return LikelihoodPoint(-np.inf, np.zeros((n, m)), nothing, nothing, np.zeros((n * m, count)), None)
     columns, U, z, factor, scale = _equations(scatter, white)
     t = solve_triangular(factor, scale * (z.astype(U.dtype) @ U - columns.slope), lower=True, check_finite=False)
     best = scale * solve_triangular(factor, t, trans=1, lower=True, check_finite=False)
@@ -198,7 +198,7 @@ def place(scatter: Scatter, theta: np.ndarray) -> Place:
     # Not z'z less t't: rounding may exceed the difference.
     squares = float(e @ e) + float(best @ (columns.precision @ best + 2.0 * columns.slope))
     value = -0.5 * (logdet + squares + columns.offset)
-    return Place(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
+    return LikelihoodPoint(value, pull[:, :, 0], back @ projection @ white.root, white.root, T, white.Q)
 
 
 def _whiten(scatter: Scatter, theta: np.ndarray) -> _White | None:
@@ -238,7 +238,9 @@ def _of_clumps(scatter: Scatter, Q: np.ndarray, values: np.ndarray) -> np.ndarra
     return scatter.summed(Q.transpose(0, 2, 1) @ values)
 
 
-def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _equations(
+    scatter: Scatter, white: _White
+) -> tuple[ResidualColumns, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Columns that are precise enough; these whitened, (N m, K); residuals, (N m,); factor and scale of their equations."""
     if scatter.near is not None:
         U, z = _whitened(scatter, white, scatter.near)
@@ -253,7 +255,7 @@ def _equations(scatter: Scatter, white: _White) -> tuple[Columns, np.ndarray, np
     return scatter.columns, U, z, np.linalg.cholesky(H), scale
 
 
-def _whitened(scatter: Scatter, white: _White, columns: Columns) -> tuple[np.ndarray, np.ndarray]:
+def _whitened(scatter: Scatter, white: _White, columns: ResidualColumns) -> tuple[np.ndarray, np.ndarray]:
     """Columns (not copied if they are so already), (N m, K), and residuals, (N m,), in units of the scatter, less things."""
     U, z = columns.A, white.root @ columns.y[:, :, None]
     there = columns.units is not None and np.array_equal(white.L, columns.units)  # then they are so already
@@ -281,7 +283,7 @@ def _logdet(factor: np.ndarray, scale: np.ndarray) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor))) - np.sum(np.log(scale[scale > 0.0])))
 
 
-def derivatives(scatter: Scatter, here: Place, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def derivatives(scatter: Scatter, here: LikelihoodPoint, of: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Score, shape (C,), and average information, shape (C, C), of some components, shape (C,) bool; 0 for the others."""
     blocks = scatter.blocks[of]
     moved = (blocks @ here.pull[:, :, None])[:, :, :, 0]

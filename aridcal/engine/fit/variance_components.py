@@ -31,7 +31,7 @@ from scipy.special import ndtr
 
 from aridcal.engine.fit.minorant import Bound, moments
 from aridcal.engine.fit.normal_equations import shortest
-from aridcal.engine.fit.scatter import Place, Scatter, covariances, derivatives, place
+from aridcal.engine.fit.scatter import LikelihoodPoint, Scatter, covariances, derivatives, place
 from aridcal.engine.levels import PLAINLY, RARE
 from aridcal.engine.numerics import HALVINGS, STEPS, TINY
 
@@ -285,12 +285,12 @@ def _maximum(
 def _higher(
     scatter: Scatter,
     theta: np.ndarray,
-    here: Place,
+    here: LikelihoodPoint,
     step: np.ndarray,
     promised: float,
     free: np.ndarray,
     low: np.ndarray,
-) -> tuple[np.ndarray, Place] | None:
+) -> tuple[np.ndarray, LikelihoodPoint] | None:
     """Likelier variances, and the likelihood there; None if the step's direction has none."""
     if promised > FAR:
         variances = _bound(scatter, theta, here).best(theta, free, low)
@@ -306,7 +306,7 @@ def _higher(
     return None
 
 
-def _bound(scatter: Scatter, at: np.ndarray, here: Components | Place) -> Bound:
+def _bound(scatter: Scatter, at: np.ndarray, here: Components | LikelihoodPoint) -> Bound:
     """The bound about a likelihood at variances ``at``, shape (C,)."""
     return Bound(scatter.blocks, scatter.fixed, moments(covariances(scatter, at), here.pull, here.kernel))
 
@@ -329,7 +329,7 @@ def contributions(scatter: Scatter, maximum: Components) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Asked:
+class ScoreTests:
     """Score tests of the components that are not in the model; 0 for those in it, and those that it can imitate.
 
     Attributes:
@@ -354,7 +354,7 @@ class Asked:
         return not CLEAR < self.plain[self.first] / PLAINLY < 1.0 / CLEAR
 
 
-def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> Asked:
+def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> ScoreTests:
     """The score test: the derivative at zero, less what the components in the model take up, over its standard deviation.
 
     Args:
@@ -377,4 +377,4 @@ def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float =
     normal = score / np.sqrt(alone)
     charged = np.sqrt(np.maximum(np.maximum(normal, 0.0) ** 2 - 2.0 * price, 0.0))
     normal = np.where(np.asarray(price) > 0.0, charged, normal)
-    return Asked(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))
+    return ScoreTests(*(np.where(new, value, 0.0) for value in (normal, plain, score / alone)))

@@ -24,7 +24,7 @@ import numpy as np
 
 from aridcal.engine.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States
 from aridcal.engine.instruments.pose import residuals, turned_back
 
 CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
@@ -362,7 +362,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return np.hstack([residuals(R, p, reduction.position, reduction.rotation), reduction.trace])
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual with its derivatives; the head's numbers move what is measured, a prediction the other way."""
     reduction = _of_rows(observed, states)
     r = residuals(R, p, reduction.position, reduction.rotation)
@@ -372,7 +372,7 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     by_twist[:, 3:POSE, 3:] = turned_back(r[:, 3:])
     by_head = np.concatenate([-reduction.sensitivity, reduction.slope], axis=1)
     by_head[:, 3:POSE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE]
-    return Seen(np.hstack([r, reduction.trace]), by_twist, (by_head,))
+    return ResidualDerivatives(np.hstack([r, reduction.trace]), by_twist, (by_head,))
 
 
 def _noise(observed: np.ndarray, states: States) -> np.ndarray:
@@ -404,7 +404,7 @@ def channels(head: Head) -> tuple[Channel, ...]:
     )
 
 
-CAMERA_SONAR = Kind(
+CAMERA_SONAR = MeasurementKind(
     name="camera_sonar",
     words="image points of squares, and ranges to them",
     channels=(TARGET_POSITION, TARGET_ROTATION),

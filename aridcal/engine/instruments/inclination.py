@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.engine.instruments.channels import INCLINATION
-from aridcal.engine.instruments.kind import Kind, Seen, States
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, States
 from aridcal.engine.instruments.pose import skew
 from aridcal.engine.robot.kinematics import transverse
 
@@ -41,7 +41,7 @@ def _residual(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return -_angles(across, along)[0]
 
 
-def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     r"""The residual with its derivatives.
 
     With sines s along the axes E, cosine c and f = angle / \|s\|, the split angle is f s, and
@@ -63,10 +63,10 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     inner = factor[:, None] * np.einsum("ni,nij->nj", across, ds) - dc
     by_twist = np.zeros((len(R), 2, 6))
     by_twist[:, :, 3:] = per_sine[:, None, None] * ds + across[:, :, None] * inner[:, None]
-    return Seen(-split, by_twist, ())
+    return ResidualDerivatives(-split, by_twist, ())
 
 
-INCLINED = Kind(
+INCLINED = MeasurementKind(
     name="inclination",
     words="the direction of gravity in the target's frame",
     channels=(INCLINATION,),

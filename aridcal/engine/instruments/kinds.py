@@ -8,13 +8,13 @@ from aridcal.engine.instruments.camera_sonar import CAMERA_SONAR, HEAD
 from aridcal.engine.instruments.distance import DISTANCE
 from aridcal.engine.instruments.inclination import INCLINED
 from aridcal.engine.instruments.joined import JOINED
-from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kind import MeasurementKind, Role
 from aridcal.engine.instruments.pixels import PIXELS
 from aridcal.engine.instruments.plane import PLANAR
 from aridcal.engine.instruments.point import TOUCHED
 from aridcal.engine.instruments.pose import POSE, POSITION, TRACKER
 
-KINDS: Mapping[str, Kind] = {
+KINDS: Mapping[str, MeasurementKind] = {
     kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED, JOINED, CAMERA_SONAR)
 }
 

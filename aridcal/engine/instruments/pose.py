@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION
-from aridcal.engine.instruments.kind import Kind, Role, Seen, States, added, points_twist
+from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added, points_twist
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -140,10 +140,10 @@ def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States
     return residuals(R, shown(p, tracker), observed, None)
 
 
-def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual of positions with its derivatives."""
     by_place, by_tracker = _shown_derivatives(p, states[0])
-    return Seen(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
+    return ResidualDerivatives(_position(R, p, observed, states), points_twist(by_place), (by_tracker,))
 
 
 def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
@@ -152,14 +152,14 @@ def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) ->
     return residuals(R, shown(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
 
 
-def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> Seen:
+def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
     """The residual of poses with its derivatives."""
     residual = _pose(R, p, observed, states)
     by_place, by_tracker = _shown_derivatives(p, states[0])
     by_twist = np.zeros((len(p), 6, 6))
     by_twist[:, :3, :3] = by_place
     by_twist[:, 3:, 3:] = turned_back(residual[:, 3:])
-    return Seen(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
+    return ResidualDerivatives(residual, by_twist, (np.concatenate([by_tracker, np.zeros_like(by_tracker)], axis=1),))
 
 
 def pose_numbers(position: np.ndarray, rotation: np.ndarray | None) -> np.ndarray:
@@ -175,7 +175,7 @@ def _placed(observed: np.ndarray, states: States) -> tuple[np.ndarray, np.ndarra
 XYZ = ("x", "y", "z")
 """Columns of a position; those of a rotation matrix follow row by row."""
 
-POSITION = Kind(
+POSITION = MeasurementKind(
     "position",
     "the target's position",
     (TARGET_POSITION,),
@@ -187,7 +187,7 @@ POSITION = Kind(
     placed=_placed,
 )
 
-POSE = Kind(
+POSE = MeasurementKind(
     name="pose",
     words="the target's position and orientation",
     channels=(TARGET_POSITION, TARGET_ROTATION),
@@ -201,6 +201,6 @@ POSE = Kind(
 )
 
 
-def kind_of_places(rotation: np.ndarray | None) -> Kind:
+def kind_of_places(rotation: np.ndarray | None) -> MeasurementKind:
     """The kind of rows that a tracker gives positions of, and rotations (N, 3, 3) if there are any."""
     return POSITION if rotation is None else POSE

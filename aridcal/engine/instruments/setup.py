@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.instruments.kind import Kind, Role
+from aridcal.engine.instruments.kind import MeasurementKind, Role
 from aridcal.engine.instruments.kinds import KINDS
 
 TIP, WORLD = "tip", "world"
@@ -138,6 +138,6 @@ class Block:
     rows: Literal["relative", "absolute", "ignore"] = "relative"
 
     @property
-    def traits(self) -> Kind:
+    def traits(self) -> MeasurementKind:
         """Its kind's row of the table of kinds."""
         return KINDS[self.kind]

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.instruments.descent import Place, View, descend, located, placed, spread
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, located, placed, spread
 from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
 from aridcal.engine.instruments.pose import nearest_rotation
 
@@ -73,11 +73,11 @@ class _Sight:
     markers: np.ndarray
 
 
-Settled = dict[str, set[int]]
+SettledThings = dict[str, set[int]]
 """Which cameras and boards have a place already: numbers, by role."""
 
 
-def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], steps: int) -> list[Place]:
+def sighted(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarray], steps: int) -> list[DescentPoint]:
     """Places of everything that pixels refer to, from hints first; components that are known and not free stay as they are.
 
     Pairs of camera and board are taken in turn, those first of which the most is known: what one pair has located helps the next.
@@ -107,7 +107,7 @@ def sighted(view: View, target: np.ndarray, beforehand: dict[str, np.ndarray], s
     return [descend(fixed_lenses, place, steps) for place in starts]
 
 
-def _beginning(view: View, beforehand: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], Settled]:
+def _beginning(view: StartView, beforehand: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], SettledThings]:
     """States to begin with, and what of them is settled.
 
     A board without a place, none of whose markers has one either, is put in the middle of its carrier: they are told from
@@ -126,7 +126,9 @@ def _beginning(view: View, beforehand: dict[str, np.ndarray]) -> tuple[dict[str,
     return states, {"camera": set(np.flatnonzero(cameras).tolist()), "board": set(np.flatnonzero(boards).tolist())}
 
 
-def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], rows: np.ndarray) -> list[Place]:
+def _pair(
+    view: StartView, place: DescentPoint, settled: SettledThings, pair: tuple[int, int], rows: np.ndarray
+) -> list[DescentPoint]:
     """Places in which a pair has its own, the best first."""
     camera, board = pair
     if not np.isfinite(place.states["camera"][camera, LENS]).all():
@@ -157,7 +159,9 @@ def _pair(view: View, place: Place, settled: Settled, pair: tuple[int, int], row
     return located_places
 
 
-def _without_settled(free: dict[str, np.ndarray], pair: tuple[int, int], settled: Settled) -> dict[str, np.ndarray]:
+def _without_settled(
+    free: dict[str, np.ndarray], pair: tuple[int, int], settled: SettledThings
+) -> dict[str, np.ndarray]:
     """Masks of the free components, without those of a camera or board that is settled."""
     limited = {name: mask.copy() for name, mask in free.items()}
     for name, number in zip(("camera", "board"), pair, strict=True):
@@ -186,7 +190,7 @@ def grid() -> np.ndarray:
 
 
 def _sight(
-    view: View, states: dict[str, np.ndarray], settled: Settled, pair: tuple[int, int], rows: np.ndarray
+    view: StartView, states: dict[str, np.ndarray], settled: SettledThings, pair: tuple[int, int], rows: np.ndarray
 ) -> _Sight | None:
     """Equations of the rows on which a pair's rotations are compared; None if there are too few."""
     camera, board = states["camera"][pair[0]], states["board"][pair[1]]
@@ -271,7 +275,12 @@ def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _with_solution(
-    view: View, states: dict[str, np.ndarray], sight: _Sight, pair: tuple[int, int], turn: np.ndarray, x: np.ndarray
+    view: StartView,
+    states: dict[str, np.ndarray],
+    sight: _Sight,
+    pair: tuple[int, int],
+    turn: np.ndarray,
+    x: np.ndarray,
 ) -> dict[str, np.ndarray]:
     """States with the solution x of a pair; all others stay."""
     new = {name: state.copy() for name, state in states.items()}

@@ -23,7 +23,7 @@ import pinocchio as pin
 from aridcal.engine.corrections.effect import LINK_COMPONENTS, Coefficient
 from aridcal.engine.model.joint_motions import Motion, joint_model, motion, rank, transform
 from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walked
-from aridcal.engine.robot.chain import Fixed, Joint, Robot
+from aridcal.engine.robot.chain import FixedJoint, Joint, Robot
 from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
 
@@ -70,7 +70,7 @@ class PlacedJoint(NamedTuple):
     motion: Motion
 
 
-class Step(NamedTuple):
+class ChainStep(NamedTuple):
     """A step from base to tip: a fixed placement, then a joint of the extended model or the end of an origin.
 
     Attributes:
@@ -109,7 +109,7 @@ def frame_slots(where: str, needed: Sequence[Slot]) -> list[Slot]:
     return [slot for slot in every if slot in needed]
 
 
-def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> list[Step]:
+def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> list[ChainStep]:
     """Walk from base to tip.
 
     Args:
@@ -119,7 +119,7 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     """
     corrected = {slot.where for slot in needed if slot.group == "link"}
     link_after = {link.joint: link for link in links if link.joint in corrected}
-    steps: list[Step] = []
+    steps: list[ChainStep] = []
     placement = before = pin.SE3.Identity()
     groups: dict[tuple[str, Group], list[Slot]] = {}
     for slot in needed:
@@ -128,15 +128,15 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     def put(joints: Sequence[tuple[Slot, Motion]]) -> None:
         nonlocal placement
         for slot, move in joints:
-            steps.append(Step(placement, slot, move))
+            steps.append(ChainStep(placement, slot, move))
             placement = pin.SE3.Identity()
 
     def end_of_origin(name: str, climbs: bool = False) -> None:
         nonlocal placement, before
-        steps.append(Step(placement, origin=name, before=before, climbs=climbs))
+        steps.append(ChainStep(placement, origin=name, before=before, climbs=climbs))
         placement = before = pin.SE3.Identity()
 
-    def cross(fixed: Sequence[Fixed]) -> None:
+    def cross(fixed: Sequence[FixedJoint]) -> None:
         nonlocal placement, before
         for each in fixed:
             constants = _sorted(groups.get((each.name, "constant"), ()), None)
@@ -236,7 +236,7 @@ class ExtendedModel:
         return tuple(slot_of(c) for c in self.coefficients)
 
     @cached_property
-    def chain(self) -> list[Step]:
+    def chain(self) -> list[ChainStep]:
         """From base to tip, without the frames at either end."""
         return chain_steps(self.robot, self.links, self._needed)
 

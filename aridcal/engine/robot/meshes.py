@@ -52,7 +52,7 @@ READY = b"ready\n"
 PR_SET_PDEATHSIG = 1
 
 Colour = tuple[float, ...] | None
-Part = tuple[Colour, np.ndarray, np.ndarray]
+MeshPart = tuple[Colour, np.ndarray, np.ndarray]
 """Red, green and blue from 0 to 1 (None: the file has no colour), vertices (V, 3) and faces (F, 3)."""
 
 
@@ -73,13 +73,13 @@ class MeshMissing(NotDrawable):
         self.uri, self.package = uri, package
 
 
-def read_meshes(paths: Sequence[Path]) -> dict[Path, list[Part] | NotDrawable]:
+def read_meshes(paths: Sequence[Path]) -> dict[Path, list[MeshPart] | NotDrawable]:
     """Read mesh files. Of the files that these name only an OBJ's colours and a glTF's numbers are looked at, never a texture.
 
     Returns:
         By path, the parts of each file, one for each colour, or why there are none.
     """
-    answers: dict[Path, list[Part] | NotDrawable] = {}
+    answers: dict[Path, list[MeshPart] | NotDrawable] = {}
     waiting = []
     room = ROBOT_MB * 1e6
     for path in dict.fromkeys(paths):
@@ -110,7 +110,7 @@ def _refusal(path: Path, room: float) -> NotDrawable | None:
     return None
 
 
-def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable]:
+def _ask(paths: Sequence[Path], end: float) -> Iterator[list[MeshPart] | NotDrawable]:
     """Give a reader's answers, until it has no more to read, or dies, or it is too late."""
     environment = {
         **os.environ,
@@ -149,7 +149,7 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[Part] | NotDrawable
             reader.kill()
 
 
-def _answer(stream: IO[bytes]) -> list[Part] | NotDrawable | None:
+def _answer(stream: IO[bytes]) -> list[MeshPart] | NotDrawable | None:
     """Read what the reader says of one file; None if it died of it."""
     head = stream.readline()
     if not head.endswith(b"\n"):
@@ -207,7 +207,7 @@ def weld(vertices: np.ndarray, faces: np.ndarray, most: int) -> tuple[np.ndarray
         cells *= COARSER
 
 
-def load_mesh(path: Path) -> list[Part]:
+def load_mesh(path: Path) -> list[MeshPart]:
     """Read one mesh file with trimesh, here and now.
 
     Raises:

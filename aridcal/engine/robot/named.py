@@ -27,7 +27,7 @@ ENDING = "_description"
 
 
 @dataclass(frozen=True)
-class Named:
+class RobotDescription:
     """Where a robot's description is, and what it takes to read it.
 
     Attributes:
@@ -43,16 +43,16 @@ class Named:
     cached: bool = False
 
 
-def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> Named:
+def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> RobotDescription:
     """What a user named as the robot: a file, or a robot by its name; what the user says of either comes first.
 
     Raises:
         RobotError: it is no file, and no name of a robot in the cache.
     """
     if not is_name(urdf):
-        return Named(urdf, packages, arguments)
+        return RobotDescription(urdf, packages, arguments)
     robot = named_robot(str(urdf))
-    return Named(robot.path, {**robot.packages, **packages}, {**robot.arguments, **arguments}, True)
+    return RobotDescription(robot.path, {**robot.packages, **packages}, {**robot.arguments, **arguments}, True)
 
 
 def is_name(path: Path) -> bool:
@@ -61,7 +61,7 @@ def is_name(path: Path) -> bool:
     return one_word and not path.exists()
 
 
-def named_robot(name: str) -> Named:
+def named_robot(name: str) -> RobotDescription:
     """Find a robot's description in the cache of robot_descriptions.
 
     Raises:
@@ -101,7 +101,7 @@ def named_robot(name: str) -> Named:
             f"`robot_descriptions pull {full}` does that; then run this again"
         )
     packages = {package: Path(place) for package, place in answer["packages"].items()}
-    return Named(Path(answer["path"]), packages, answer["arguments"], True)
+    return RobotDescription(Path(answer["path"]), packages, answer["arguments"], True)
 
 
 def _look(name: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.drive import NOTHING, Drive, Loop, Stated, resolved
+from aridcal.engine.robot.drive import NOTHING, Drive, Loop, StatedJoints, resolved
 from aridcal.system.errors import RobotError, nearest, shortened
 from aridcal.system.reading.user_names import check_name
 
@@ -68,7 +68,7 @@ class UrdfTree:
     mimics: Mapping[str, Drive]
 
 
-def read_tree(urdf: bytes, path: Path, stated: Stated = NOTHING) -> UrdfTree:
+def read_tree(urdf: bytes, path: Path, stated: StatedJoints = NOTHING) -> UrdfTree:
     """Read and check the tree of a URDF.
 
     Args:
@@ -283,7 +283,7 @@ def _mimics(joints: Mapping[str, etree._Element], path: Path) -> dict[str, Drive
     return direct
 
 
-def _followed(direct: Mapping[str, Drive], stated: Stated, path: Path) -> dict[str, Drive]:
+def _followed(direct: Mapping[str, Drive], stated: StatedJoints, path: Path) -> dict[str, Drive]:
     """The drives of all joints without a column, with the factors and offsets on the way composed.
 
     Raises:

@@ -24,7 +24,7 @@ from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import by_row, spread
 from aridcal.engine.search.evidence import explained, solve
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.state import State, with_candidate
 
 COARSE = 200
@@ -121,10 +121,10 @@ def _best_steps(model: LinearModel, state: State, templates: Sequence[Effect]) -
 
 
 # Slots that move together, and the rows before each of the steps that they may have, ascending.
-Group = tuple[Sequence[int], np.ndarray]
+SlotGroup = tuple[Sequence[int], np.ndarray]
 
 
-def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[Group]) -> list[int]:
+def _best_one_by_one(model: LinearModel, state: State, values: np.ndarray, groups: Sequence[SlotGroup]) -> list[int]:
     """Index of the best step of each group, tried one by one, as unknown things take up a part of each.
 
     ``values`` of the covariate are of the rows in use, shape (n,).
@@ -169,7 +169,7 @@ class _Scan:
     row: np.ndarray
 
     @classmethod
-    def of(cls, state: State, of: str, groups: Sequence[Group]) -> _Scan:
+    def of(cls, state: State, of: str, groups: Sequence[SlotGroup]) -> _Scan:
         """The sums for some groups of slots, rows in the order of the covariate ``of``."""
         model = state.model
         moving = list(dict.fromkeys(slot for slots, _ in groups for slot in slots))
@@ -183,7 +183,7 @@ class _Scan:
         squares, pulls = (np.insert(upto, 0, 0.0, axis=0) for upto in sums)
         return cls(state, {slot: k for k, slot in enumerate(moving)}, g / sigma, squares, pulls, members, row)
 
-    def best(self, groups: Sequence[Group]) -> list[int]:
+    def best(self, groups: Sequence[SlotGroup]) -> list[int]:
         """Index of the step of each group that explains most."""
         every = np.unique(np.concatenate([_evenly(before, COARSE) for _, before in groups]))
         nodes = self._nodes(every)
@@ -292,7 +292,7 @@ def _best(
     return int(low + np.argmax(squares(before[low : high + 1])))
 
 
-def walk_instead(model: LinearModel, state: State, candidate: Active) -> float:
+def walk_instead(model: LinearModel, state: State, candidate: ActiveEffect) -> float:
     r"""Chance that a step as clear as this one comes from noise that stays alike for some rows, or walks.
 
     The motion that explains each row's residual by itself, with the step in the model, is a series y. It is explained twice,

@@ -15,7 +15,7 @@ from aridcal.engine.corrections.regional_kind import is_of_labels
 from aridcal.engine.corrections.sights import is_sight
 from aridcal.engine.levels import STRONG
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.ranking import in_place_of, is_small, rank
 from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
@@ -62,7 +62,7 @@ def twins(
 def _twins(
     state: State,
     library: Sequence[Effect],
-    named: Active,
+    named: ActiveEffect,
     rough: Mapping[Effect, Score],
     progress: Progress,
 ) -> tuple[tuple[Effect, Score], ...]:
@@ -161,7 +161,7 @@ def tied(
 
 
 def _rivals(
-    state: State, constants: Sequence[Coefficient], named: Active, twins: Sequence[tuple[Effect, Score]]
+    state: State, constants: Sequence[Coefficient], named: ActiveEffect, twins: Sequence[tuple[Effect, Score]]
 ) -> Iterator[RivalModel]:
     """The rivals of one effect."""
     without, before = without_effect(state, named.effect), state.coefficients(constants)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import Barred, barred_joints, usable_columns
+from aridcal.engine.corrections.catalogue import UntestableEffect, barred_joints, usable_columns
 from aridcal.engine.corrections.effect import ROW_ORDER
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.model.model import Model
@@ -15,7 +15,7 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 
 
-def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
+def look(model: Model, rows: Dataset) -> tuple[ObservedRows, list[UntestableEffect]]:
     """Covariates of rows for candidate effects, and the effects that cannot be tested; the model knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.origin.derived}
     usable, barred_columns = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})
@@ -35,11 +35,13 @@ def look(model: Model, rows: Dataset) -> tuple[Observed, list[Barred]]:
     labels = [label_column(label) for label in labels_in(rows.labels.station)]
     if len(labels) > MOST_LABELS:
         barred_columns.append(
-            Barred(f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most")
+            UntestableEffect(
+                f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most"
+            )
         )
         labels = []
     table |= label_columns(labels, rows.labels.station)
-    observed = Observed(
+    observed = ObservedRows(
         robot=model.robot,
         table=table,
         measured=tuple(usable),

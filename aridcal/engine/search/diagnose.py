@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS, Barred, candidates, declared
+from aridcal.engine.corrections.catalogue import KINDS, UntestableEffect, candidates, declared
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter
 from aridcal.engine.corrections.smooth import Kernel
 from aridcal.engine.corrections.unknown_kind import pair
@@ -37,12 +37,12 @@ from aridcal.engine.search.exact import (
     worth,
 )
 from aridcal.engine.search.held_back import missed
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.engine.search.ranking import is_small, rank
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, activate, solve_state
-from aridcal.engine.search.stepwise import Found, confirmed, exchanged, search
+from aridcal.engine.search.stepwise import StepwiseResult, confirmed, exchanged, search
 from aridcal.system.progress import SILENT, Progress
 
 SEARCHES = 6
@@ -84,7 +84,7 @@ UNNAMED = 6
 """Work: Effects without a name that are added at the most: what is left then has no simple form."""
 
 # A fitted effect: itself, and size and kernel of its prior if it is smooth.
-Shaped = tuple[Effect, float, Kernel]
+ShapedEffect = tuple[Effect, float, Kernel]
 
 
 @dataclass(frozen=True)
@@ -105,10 +105,10 @@ class SearchResult:
 
     fit: Fit
     linearised_at: Fit
-    observed: Observed
-    found: Found
+    observed: ObservedRows
+    found: StepwiseResult
     named: tuple[Effect, ...]
-    barred: tuple[Barred, ...]
+    barred: tuple[UntestableEffect, ...]
     scattered: bool
     confounded: tuple[tuple[Effect, ...], ...] = ()
     tied: tuple[RivalModel, ...] = ()
@@ -136,7 +136,7 @@ class Setting:
     """
 
     start: Start
-    observed: Observed
+    observed: ObservedRows
     library: tuple[Effect, ...]
     scatter: tuple[Effect, ...]
 
@@ -145,7 +145,7 @@ class Setting:
         """Called with the work in hand."""
         return self.start.progress
 
-    def linear(self, at: Fit, active: Sequence[Active] = ()) -> LinearModel:
+    def linear(self, at: Fit, active: Sequence[ActiveEffect] = ()) -> LinearModel:
         """The exact model linearised about a fit, with some effects in it."""
         return linear_model(self.start, at, active, self.library, self.observed)
 
@@ -156,7 +156,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Step:
+class SearchStep:
     """The state of a search between two refits.
 
     Attributes:
@@ -166,8 +166,8 @@ class Step:
     """
 
     at: Fit
-    found: Found
-    fitted: tuple[Shaped, ...] = ()
+    found: StepwiseResult
+    fitted: tuple[ShapedEffect, ...] = ()
 
 
 def diagnose(
@@ -226,7 +226,7 @@ def _search_once(
     unnamed = candidates(observed, tuple(k for k in question.sought if not KINDS[k].named))
     if few_places(geometric.model, start.train):
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
-        barred_effects += [Barred(kind, FEW_PLACES) for kind in curves]
+        barred_effects += [UntestableEffect(kind, FEW_PLACES) for kind in curves]
         named, unnamed = [e for e in named if not e.smooth], []
     setting = Setting(start, observed, (*named, *unnamed, *declared_effects, *scatter_of(start.train)), scatter)
     progress("linearising the model")
@@ -251,9 +251,9 @@ def _search_once(
         if not settled:
             state = confirmed(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
-        step = Step(at, replace(before.found, state=state))
+        step = SearchStep(at, replace(before.found, state=state))
     else:
-        step = _search_named(setting, named, Step(at, Found(state, (), 0)), fresh)
+        step = _search_named(setting, named, SearchStep(at, StepwiseResult(state, (), 0)), fresh)
     result = step.found
     state, lost_effects = with_fields(reshaped(result.state, lambda a: a.declared), declared_effects)
     result, barred_effects = replace(result, state=state), barred_effects + lost_effects
@@ -311,7 +311,7 @@ def _words_of_refit(state: State) -> str:
     return f"fitting {count} effect{'' if count == 1 else 's'}: {', '.join(e.label for e in state.effects[:4])}"
 
 
-def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: bool) -> Step:
+def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, fresh: bool) -> SearchStep:
     """Search, refit on the exact model and search again about that, until the same effects are found."""
     progress = setting.progress
     small = is_small(step.found.state.model, named)
@@ -337,7 +337,7 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: Step, fresh: 
                 return step
         else:
             no_better = False
-            step = Step(trial, replace(result, state=setting.about(trial, state)), _shapes(state))
+            step = SearchStep(trial, replace(result, state=setting.about(trial, state)), _shapes(state))
     return step
 
 
@@ -361,7 +361,7 @@ def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
     return refit_constants(every, replace(state, used=in_use), current)
 
 
-def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, fresh: bool) -> Found:
+def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: StepwiseResult, fresh: bool) -> StepwiseResult:
     """Add smooth functions of one covariate, and then of two, to the effects that name a cause."""
     observed, progress, model = setting.observed, setting.progress, named.state.model
     more = search(named.state, unnamed, UNNAMED, exchange=fresh, progress=progress)
@@ -374,10 +374,10 @@ def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: Found, f
         tested += count if k == 0 else 0
         if len(more.state.active) == len(before.active):
             break
-    return Found(more.state, rejected, tested)
+    return StepwiseResult(more.state, rejected, tested)
 
 
-def _shapes(state: State) -> tuple[Shaped, ...]:
+def _shapes(state: State) -> tuple[ShapedEffect, ...]:
     """The effects of a state, smooth ones with their shape."""
     return tuple((a.effect, a.score.tau, a.score.kernel) for a in state.active if not is_scatter(a.effect))
 

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.corrections.basis import evaluated
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter, place_columns
 from aridcal.engine.fit.flags import flagged
 from aridcal.engine.fit.identifiable import apart, identifiable
@@ -26,7 +26,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together, repeated
 from aridcal.engine.search.covariate_table import look
 from aridcal.engine.search.evidence import charge
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.state import State
 from aridcal.system.progress import SILENT, Progress
 
@@ -181,7 +181,7 @@ def _constants_regained(start: Start, refitted: Fit) -> tuple[Coefficient, ...]:
 
 
 def linear_model(
-    start: Start, current: Fit, active: Sequence[Active], library: Sequence[Effect], observed: Observed
+    start: Start, current: Fit, active: Sequence[ActiveEffect], library: Sequence[Effect], observed: ObservedRows
 ) -> LinearModel:
     """Linearise the current model, and the slots where the library's effects act.
 
@@ -255,7 +255,7 @@ def _places(question: Problem) -> np.ndarray | None:
     return np.asarray(number) if len(different) >= FEWEST_PLACES else None
 
 
-def _table(start: Start, question: Problem, observed: Observed) -> Mapping[str, np.ndarray]:
+def _table(start: Start, question: Problem, observed: ObservedRows) -> Mapping[str, np.ndarray]:
     """Covariates of bases, shape (N,) each, at the readings of the derivatives: as read, or agreeing with the model.
 
     A motion that a turn of a joint undoes moves nothing; with its basis at one angle and its column at another it would seem to

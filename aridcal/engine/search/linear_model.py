@@ -14,7 +14,7 @@ from aridcal.engine.corrections.smooth import samples_root, smooth_precision
 from aridcal.engine.fit.elimination import Projector
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.products import Flat, Layout, Products, Source
+from aridcal.engine.search.products import ColumnSource, Flat, FoldOrder, Products
 
 PLAUSIBLE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
@@ -87,8 +87,8 @@ class LinearModel:
         return Products(self.A, self.r, self._layout, self._source)
 
     @cached_property
-    def _layout(self) -> Layout:
-        return Layout.of(self.fold, self.channels)
+    def _layout(self) -> FoldOrder:
+        return FoldOrder.of(self.fold, self.channels)
 
     @cached_property
     def _in_folds(self) -> tuple[np.ndarray, ...]:
@@ -97,8 +97,8 @@ class LinearModel:
         return tuple(np.ascontiguousarray(ordered[:, :, part]) for part in columns(self.channels))
 
     @property
-    def _source(self) -> Source:
-        return Source(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
+    def _source(self) -> ColumnSource:
+        return ColumnSource(self.flat_columns, self._apart, self._of_slots, lambda bases: self._values(bases).T)
 
     def _values(self, bases: Sequence[int], places: np.ndarray | None = None) -> np.ndarray:
         """Values of some bases, (bases, N), in the order of the folds, or at some places of it."""
@@ -214,7 +214,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True)
-class Active:
+class ActiveEffect:
     """An effect in the model; a smooth one by the modes that the data determine, each with unit prior.
 
     Attributes:

@@ -41,9 +41,9 @@ from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset, factors
 from aridcal.engine.search.diagnose import SEARCHED
 from aridcal.engine.search.exact import GAUGE
-from aridcal.engine.search.linear_model import Active
-from aridcal.engine.search.noise_hypotheses import Asked, Kind, possible, shaped, stretched, there
-from aridcal.engine.search.noise_shapes import SHAPES, Seen, Shape, aimed, nearby, shapes_of
+from aridcal.engine.search.linear_model import ActiveEffect
+from aridcal.engine.search.noise_hypotheses import HypothesisKind, NoiseHypothesis, possible, shaped, stretched, there
+from aridcal.engine.search.noise_shapes import SHAPES, NoiseShape, TargetPoses, aimed, nearby, shapes_of
 from aridcal.engine.search.noise_tests import neighbours
 from aridcal.system.progress import SILENT, Progress
 
@@ -108,13 +108,13 @@ class NoiseCause:
         rivals: Causes that explain the scatter as well in its place: the rows do not tell them apart.
     """
 
-    kind: Kind
+    kind: HypothesisKind
     name: str
     unit: str
     value: float
     std: float
     share: np.ndarray
-    shape: Shape | None = None
+    shape: NoiseShape | None = None
     rivals: tuple[NoiseCause, ...] = ()
 
 
@@ -134,7 +134,7 @@ class NoiseCauses:
 
     causes: tuple[NoiseCause, ...]
     total: np.ndarray
-    structured: tuple[tuple[Kind, str], ...]
+    structured: tuple[tuple[HypothesisKind, str], ...]
     relative: np.ndarray | None
     shared: float
 
@@ -155,7 +155,7 @@ class NoiseCauses:
 
 
 # A cause that explains the scatter as well as another, the maximum with it instead, and its number there.
-Tie = tuple[Asked, Components, int]
+Tie = tuple[NoiseHypothesis, Components, int]
 
 
 @dataclass(frozen=True)
@@ -172,9 +172,9 @@ class _Inquiry:
         orders: Pairs of neighbouring rows, and of neighbouring standstills.
     """
 
-    causes: tuple[Asked, ...]
+    causes: tuple[NoiseHypothesis, ...]
     scatter: Scatter
-    targets: Seen
+    targets: TargetPoses
     channels: tuple[Channel, ...]
     rows: Dataset
     still: Stack
@@ -217,7 +217,7 @@ class _Inquiry:
             inquiry = inquiry.with_shape(k, some[0])
         return inquiry
 
-    def shapes(self, maximum: Components) -> dict[int, list[Shape]]:
+    def shapes(self, maximum: Components) -> dict[int, list[NoiseShape]]:
         """Shapes fitted to the residual at a maximum, by the cause, for causes with a shape that are not in the model."""
         at = [k for k, cause in enumerate(self.causes) if cause.shape is not None]
         if maximum.free[at].all():
@@ -229,7 +229,7 @@ class _Inquiry:
         every = aimed(self.targets, self.channels, residual, pull, kernel)
         return {k: some for k, some in zip(at, every, strict=True) if not maximum.free[k]}
 
-    def with_shape(self, k: int, shape: Shape) -> _Inquiry:
+    def with_shape(self, k: int, shape: NoiseShape) -> _Inquiry:
         """The inquiry with another shape of cause k."""
         cause = shaped(shape, self.targets)
         blocks = self.scatter.blocks.copy()
@@ -246,7 +246,7 @@ class _Inquiry:
         if shape is None:
             return self, maximum
 
-        def likeliest(shapes: Iterable[Shape]) -> tuple[float, Shape]:
+        def likeliest(shapes: Iterable[NoiseShape]) -> tuple[float, NoiseShape]:
             return max(((self._height_with(maximum, k, other), other) for other in shapes), key=itemgetter(0))
 
         height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
@@ -256,7 +256,7 @@ class _Inquiry:
         reshaped = self.with_shape(k, shape)
         return reshaped, with_one(reshaped.scatter, maximum, k, float(maximum.variance[k]))
 
-    def _height_with(self, maximum: Components, k: int, shape: Shape) -> float:
+    def _height_with(self, maximum: Components, k: int, shape: NoiseShape) -> float:
         """The bound about a maximum where cause k has another shape, less the price of that shape."""
         free = np.flatnonzero(maximum.free)
         blocks = self.scatter.blocks[free]
@@ -297,7 +297,7 @@ class _Inquiry:
 
 
 def noise_causes(
-    fit: Fit, active: Sequence[Active], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
+    fit: Fit, active: Sequence[ActiveEffect], rows: Dataset, progress: Progress = SILENT, shapes: bool = True
 ) -> NoiseCauses | None:
     """The causes of the scatter; None if there are too few rows to tell.
 
@@ -328,14 +328,17 @@ def noise_causes(
     return _result(inquiry, maximum, structured, ties or {}, question, fit.theta)
 
 
-def _inquiry(part: Problem, fit: Fit, active: Sequence[Active], shapes: bool) -> _Inquiry:
+def _inquiry(part: Problem, fit: Fit, active: Sequence[ActiveEffect], shapes: bool) -> _Inquiry:
     """The inquiry on some rows, no cause beyond the channels in the model."""
     causes, targets = possible(part, fit.theta)
     channels = tuple(channel for channel in part.channels if shapes and channel.name in targets.axes)
     nothing = np.zeros((*causes[0].root.shape[:2], 1))
     for channel in channels:
         # Shapes are fitted as soon as there is a maximum.
-        causes += [Asked(shape.kind, channel.name, shape.unit, nothing, shape) for shape in shapes_of(targets, channel)]
+        causes += [
+            NoiseHypothesis(shape.kind, channel.name, shape.unit, nothing, shape)
+            for shape in shapes_of(targets, channel)
+        ]
     still = stack(standstills(part.data), there(part.data))
     start = np.zeros(len(causes))
     start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
@@ -427,7 +430,9 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
     return [(k, float(demand.variance[k])) for k, gain in zip(most, gains, strict=True) if gain > least]
 
 
-def _scatter(part: Problem, fit: Fit, active: Sequence[Active], causes: Sequence[Asked], still: Stack) -> Scatter:
+def _scatter(
+    part: Problem, fit: Fit, active: Sequence[ActiveEffect], causes: Sequence[NoiseHypothesis], still: Stack
+) -> Scatter:
     """The final model linearised at some rows, by standstills; smooth effects by the modes that the data determine."""
     here = part.agreeing(fit.theta)
     pieces = [here.pieces(fit.theta, block) for block in here.blocks()]
@@ -484,7 +489,7 @@ def _result(
     variances = np.array([_variances_of_channels(variance[k] * causes[k].blocks, inquiry.rows) for k in shown])
     total = np.maximum(variances.sum(axis=0), FLOOR**2)
 
-    def cause(of: Asked, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
+    def cause(of: NoiseHypothesis, variance: float, std: float, rivals: tuple[NoiseCause, ...] = ()) -> NoiseCause:
         value, share = float(np.sqrt(variance)), _variances_of_channels(variance * of.blocks, inquiry.rows) / total
         return NoiseCause(of.kind, of.name, of.unit, value, float(std), share, of.shape, rivals)
 
@@ -502,7 +507,7 @@ def _result(
     )
 
 
-def _of_each_joint(possible: Sequence[Asked]) -> np.ndarray:
+def _of_each_joint(possible: Sequence[NoiseHypothesis]) -> np.ndarray:
     """Components that each cause adds up, shape (C, C): a joint has its own, and that of all joints alike."""
     kinds, units = np.array([p.kind for p in possible]), np.array([p.unit for p in possible])
     each = np.eye(len(possible))

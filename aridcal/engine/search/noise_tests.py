@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc, ndtr
 
 from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import moved_by
 from aridcal.engine.instruments.channels import columns, spread
@@ -54,13 +54,13 @@ what changes slowly."""
 FELT = 1e-9
 """Work: Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
-Question = Literal[
+NoiseQuestion = Literal[
     "repeats", "neighbours", "order", "change", "declared", "held_out", "offset", "flags", "thing", "groups"
 ]
 
 
 @dataclass(frozen=True)
-class View:
+class ResidualView:
     """Residuals in some axes, or along one joint's own motion.
 
     Attributes:
@@ -83,7 +83,7 @@ class Clue:
         p_value: Chance of so clear a result if the residual were white.
     """
 
-    question: Question
+    question: NoiseQuestion
     what: str
     share: float
     p_value: float
@@ -97,7 +97,7 @@ class Clue:
 def clues(
     rows: Dataset,
     residual: np.ndarray,
-    repeats: Repeats | None,
+    repeats: RepeatScatter | None,
     freedom: float,
     fit: Fit | None = None,
     progress: Progress = SILENT,
@@ -120,7 +120,7 @@ def clues(
         some = stretches(rows.sequence, ASKED)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
-        views = [View("in world axes", white[some]), *others]
+        views = [ResidualView("in world axes", white[some]), *others]
         clues_found.append(_neighbours(views, part.readings))
         each = "measurements" if "time" in part.covariates else "rows"
         order = part.sequence
@@ -187,7 +187,7 @@ def rms_of_channels(residual: np.ndarray, rows: Dataset) -> np.ndarray:
     )
 
 
-def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[View]:
+def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fit) -> list[ResidualView]:
     """Residuals in the target's axes, and along each joint's own motion.
 
     With J a joint's column and r the residual of a row, both in sigmas, J'r / |J| is the part of r along that motion: white
@@ -202,18 +202,18 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
         R, _ = question.model.poses(theta, question.rows)
         parts = columns(rows.channels)
         turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
-        views.append(View("in the target's axes", turned / scale))
+        views.append(ResidualView("in the target's axes", turned / scale))
     J = moved_by(question, theta, len(robot.joints)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
         felt = lever[:, k] > FELT * lever.max()
         if felt.all():
-            views.append(View(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
+            views.append(ResidualView(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
     return views
 
 
-def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
+def _repeats(repeats: RepeatScatter, sigma: np.ndarray) -> Clue:
     """Is the residual larger than the scatter of repeats, which is the noise without errors of the model?"""
     numbers = float(repeats.freedom.sum())
     share = float(np.clip(1.0 - np.nansum(repeats.freedom * repeats.sigma**2 / sigma**2) / numbers, 0.0, 1.0))
@@ -221,7 +221,7 @@ def _repeats(repeats: Repeats, sigma: np.ndarray) -> Clue:
     return Clue("repeats", "repeats scatter less than the residual", share, p_value)
 
 
-def _neighbours(views: Sequence[View], readings: np.ndarray) -> Clue:
+def _neighbours(views: Sequence[ResidualView], readings: np.ndarray) -> Clue:
     """Do rows at near configurations err alike?"""
     rows, others = _nearest(readings)
     apart = rows != others  # among equal rows the nearest need not be the row itself
@@ -259,7 +259,9 @@ def _successors(order: np.ndarray) -> np.ndarray:
     return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
 
 
-def _correlation(question: Question, what: str, views: Sequence[View], first: np.ndarray, second: np.ndarray) -> Clue:
+def _correlation(
+    question: NoiseQuestion, what: str, views: Sequence[ResidualView], first: np.ndarray, second: np.ndarray
+) -> Clue:
     """Correlation of pairs of rows, first and second of each, shape (pairs,), against its distribution over all orders."""
     white, starts = _side_by_side(views)
     sums = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
@@ -302,13 +304,13 @@ def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[flo
     return mean, float(np.sqrt(max(square - mean**2, 0.0)))
 
 
-def _side_by_side(views: Sequence[View]) -> tuple[np.ndarray, np.ndarray]:
+def _side_by_side(views: Sequence[ResidualView]) -> tuple[np.ndarray, np.ndarray]:
     """All views in one array, shape (N, columns), and the first column of each."""
     sizes = [view.white.shape[1] for view in views]
     return np.hstack([view.white for view in views]), np.cumsum([0, *sizes[:-1]])
 
 
-def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[Clue]:
+def _changes(views: Sequence[ResidualView], rows: Dataset, progress: Progress) -> list[Clue]:
     """Did the residual jump between two rows? File by file, and in the order of time if that is another one."""
     sequence = rows.sequence
     by_file = sequence[np.argsort(rows.origin.file[sequence], kind="stable")]
@@ -320,7 +322,7 @@ def _changes(views: Sequence[View], rows: Dataset, progress: Progress) -> list[C
     return clues_of_orders
 
 
-def _change(views: Sequence[View], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
+def _change(views: Sequence[ResidualView], rows: Dataset, order: np.ndarray, words: str, progress: Progress) -> Clue:
     r"""The largest step of the mean of any view, over all rows where it might be.
 
     .. math:: x = \max_k \frac{|S_k|^2}{k (1 - k / N)}, \qquad S_k = \sum_{n \le k} (r_n - \bar r)

@@ -23,7 +23,7 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.search.grids import Grid, Local, grid_of, local, moved_rows, moving
+from aridcal.engine.search.grids import Grid, LocalValues, grid_of, local, moved_rows, moving
 
 CHUNK = 128
 """Work: Columns that are multiplied at once: their Gram matrix stays in the cache."""
@@ -55,7 +55,7 @@ Flat = tuple[np.ndarray, ...]
 
 
 @dataclass(frozen=True)
-class Source:
+class ColumnSource:
     """Functions that make columns; rows in the order of the folds.
 
     Attributes:
@@ -72,7 +72,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Layout:
+class FoldOrder:
     """Rows in the order of their folds, so that each fold is a stretch.
 
     Attributes:
@@ -86,7 +86,7 @@ class Layout:
     starts: np.ndarray
 
     @classmethod
-    def of(cls, fold: np.ndarray, channels: Channels) -> Layout:
+    def of(cls, fold: np.ndarray, channels: Channels) -> FoldOrder:
         """The layout of rows whose folds are numbered, shape (N,)."""
         order = np.argsort(fold, kind="stable")
         different = np.unique(fold)
@@ -150,7 +150,7 @@ class Chunk:
 class Products:
     """Cache of products of one linearised model's columns."""
 
-    def __init__(self, A: np.ndarray, r: np.ndarray, layout: Layout, source: Source) -> None:
+    def __init__(self, A: np.ndarray, r: np.ndarray, layout: FoldOrder, source: ColumnSource) -> None:
         """Start with the columns A of the constants, shape (N, m, K), and the residual r, shape (N, m)."""
         self.layout, self.r, self._source = layout, layout.flat(r), source
         self._columns: dict[Effect | None, Flat] = {None: layout.flat(A)}
@@ -159,7 +159,7 @@ class Products:
         self._pull: dict[Effect | None, np.ndarray] = {}
         self._ordered: dict[tuple[str, Effect | None], np.ndarray] = {}
         self._of_limbs: dict[tuple[Effect | None, bytes], tuple[Flat, np.ndarray]] = {}
-        self._local: dict[tuple[int, ...], Local | None] = {}
+        self._local: dict[tuple[int, ...], LocalValues | None] = {}
         self._moved: dict[int, bytes] = {}
         self._moving: dict[tuple[int, ...], tuple[Flat, np.ndarray | None]] = {}
         self._known: dict[Effect, None] = {}
@@ -168,7 +168,7 @@ class Products:
         self._kept = 0
         self.squares = self._folds(self.r, self.r)
 
-    def made_by(self, source: Source) -> Products:
+    def made_by(self, source: ColumnSource) -> Products:
         """These products, columns now made by a model that has further bases."""
         self._source = source
         self._local.clear()  # keys are numbers of functions, which are others there
@@ -296,7 +296,7 @@ class Products:
                     self._place[effect] = stored, part
             yield chunk
 
-    def _functions(self, bases: tuple[int, ...]) -> Local | None:
+    def _functions(self, bases: tuple[int, ...]) -> LocalValues | None:
         """Values of functions on knots; None if they are not local."""
         if bases not in self._local:
             self._local[bases] = local(self._source.functions(bases))

@@ -32,7 +32,7 @@ from aridcal.engine.levels import BLOCKS, DOUBT, FOLDS, LENIENT, PRICE, RARE
 from aridcal.engine.numerics import ROUNDS, TINY
 from aridcal.engine.search.change_points import walk_instead
 from aridcal.engine.search.evidence import Score, price, shaped, smooth_tail, solve, tail, with_noise
-from aridcal.engine.search.linear_model import Active, LinearModel
+from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, by_fold, with_candidate, with_columns
@@ -181,7 +181,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
     return judgement(share, "")
 
 
-def held_out_whole(state: State, candidate: Active) -> float:
+def held_out_whole(state: State, candidate: ActiveEffect) -> float:
     """Share of the squared error that a constant by region takes off regions held back whole; 1 of all else.
 
     A constant along a rail is said to hold between the rows that were measured, and must show that; a field in space, or what
@@ -204,7 +204,7 @@ def _is_at_several_things(model: LinearModel, effect: Effect) -> bool:
     return effect.at is None and len(np.unique(model.thing[there])) > 1
 
 
-def _best_function(state: State, candidate: Active) -> np.ndarray:
+def _best_function(state: State, candidate: ActiveEffect) -> np.ndarray:
     """Coefficients of the function that fits best for a smooth candidate, shape (d, 1): few rows determine a narrow map."""
     total, precision = with_candidate(state, candidate)
     beta = solve(total, precision, state.solution.sigma).beta[len(state.precision) :]
@@ -217,7 +217,7 @@ def sources(effect: Effect) -> list[str]:
     return [name.split(".")[0] if ".gravity_" in name else name for name in named]
 
 
-def _p_value_over_time(state: State, candidate: Active) -> float:
+def _p_value_over_time(state: State, candidate: ActiveEffect) -> float:
     """p-value of an effect on a column that the user does not control, when rows of one stretch of time may err together."""
     run = np.unique(state.model.run[state.used], return_inverse=True)[1]
     if not candidate.effect.smooth:
@@ -258,7 +258,7 @@ def signed_ranks(values: np.ndarray) -> float:
     return float(ndtr(-above / np.sqrt(max(spread, TINY))))
 
 
-def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
+def held_back(state: State, candidate: ActiveEffect, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
@@ -278,7 +278,7 @@ def held_back(state: State, candidate: Active, part: np.ndarray) -> np.ndarray:
     return held_back_squares(state, design, total, precision, sigma, part, masks)
 
 
-def held_back_folds(state: State, candidate: Active) -> np.ndarray:
+def held_back_folds(state: State, candidate: ActiveEffect) -> np.ndarray:
     r"""As :func:`held_back` with the folds as parts, from sums that are there already, shape (2, C, n).
 
     One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.levels import STRONG
-from aridcal.engine.search.linear_model import Active
+from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.ranking import rank, with_flags
 from aridcal.engine.search.sets import Choices, evidence_of_set, family
 from aridcal.engine.search.state import State, activate
@@ -116,7 +116,7 @@ def _motion_and_covariates(effect: Effect) -> tuple[object, ...]:
 
 def _with_all(state: State, members: Sequence[Effect]) -> State:
     """The set with all of some effects that have evidence, one of each place and order."""
-    best: dict[tuple[object, ...], Active] = {}
+    best: dict[tuple[object, ...], ActiveEffect] = {}
     for effect, score in rank(state, members):
         if score.gain > 0.0:
             best.setdefault((effect.where, effect.order), activate(state, effect, score))

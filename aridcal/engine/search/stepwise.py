@@ -22,7 +22,7 @@ PASSES = 4
 
 
 @dataclass(frozen=True)
-class Found:
+class StepwiseResult:
     """The result of a search.
 
     Attributes:
@@ -43,7 +43,7 @@ def search(
     tested: int = 0,
     exchange: bool = True,
     progress: Progress = SILENT,
-) -> Found:
+) -> StepwiseResult:
     """Add effects one at a time, and try again those in the model and those out of it, until no change is worth it.
 
     Where that is cheap, causes of a single motion come first: a cause that moves a frame in several ways explains a part of
@@ -63,14 +63,14 @@ def search(
     if not (small and exchange):
         state, rejected = grown(start, choices, most, small, progress)
         state = tidied(state, choices, 1, progress) if exchange else state
-        return Found(state, rejected, choices.count)
+        return StepwiseResult(state, rejected, choices.count)
     simple = [e for e in library if len(e.slots) == 1]
     state = _passes(start, choices.only(simple), most, progress)[0] if simple else start
     state, rejected = _passes(state, choices, most, progress)
-    return Found(state, rejected, choices.count)
+    return StepwiseResult(state, rejected, choices.count)
 
 
-def exchanged(result: Found, library: Sequence[Effect], progress: Progress = SILENT) -> Found:
+def exchanged(result: StepwiseResult, library: Sequence[Effect], progress: Progress = SILENT) -> StepwiseResult:
     """The result, or one with a better set that single steps do not lead to; such sets are tried where that is cheap."""
     state = result.state
     if not is_small(state.model, library):

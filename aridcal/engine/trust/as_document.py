@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.combinations import Known
+from aridcal.engine.trust.combinations import Identifiability
 from aridcal.engine.trust.cross_validation import Folds, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.engine.trust.second_look import SecondLook
@@ -75,7 +75,7 @@ def _influence(influence: Influence, train: Dataset) -> dict[str, Any]:
     return {"target_std_mm": 1e3 * influence.sigma, "deciding": len(influence.deciding), "rows": rows}
 
 
-def _known(known: Known) -> dict[str, Any]:
+def _known(known: Identifiability) -> dict[str, Any]:
     """Combinations of constants, and the minimal set of them."""
     return {
         "combinations": [

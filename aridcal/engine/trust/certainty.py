@@ -10,9 +10,9 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.tolerance import Kept, beyond, instrument_noise, kept, unjudged
+from aridcal.engine.trust.tolerance import ToleranceAnswer, beyond, instrument_noise, kept, unjudged
 from aridcal.engine.trust.workspace import Knowledge, OpenCombination, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
@@ -68,7 +68,7 @@ class Certainty:
     region: Workspace
     title: str
     tool: tuple[float, float, float]
-    kept: tuple[Kept, ...]
+    kept: tuple[ToleranceAnswer, ...]
     untold: tuple[OpenCombination, ...]
 
     @property
@@ -78,7 +78,7 @@ class Certainty:
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Requirement:
     """Requirements on the certainty of the target.
 
     Attributes:
@@ -93,14 +93,14 @@ class Wanted:
 
 
 def certainty(
-    wanted: Wanted,
+    wanted: Requirement,
     fit: Fit,
     rows: Dataset,
     candidates: Sequence[Coefficient],
     where: np.ndarray | None,
     outlier: np.ndarray,
     residual: np.ndarray,
-    repeats: Repeats | None,
+    repeats: RepeatScatter | None,
 ) -> Certainty:
     """Say how well the target is known.
 
@@ -196,7 +196,7 @@ def as_document(certain: Certainty) -> dict[str, Any]:
     return document
 
 
-def _judged(part: Kept, unit: str) -> dict[str, Any]:
+def _judged(part: ToleranceAnswer, unit: str) -> dict[str, Any]:
     """The answer to a tolerance, and the rows that judge it."""
     return {
         f"tolerance_{unit}": 1e3 * (part.tolerance or 0.0),

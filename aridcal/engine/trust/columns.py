@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Elimination, Groups, Known, Sums, solved
+from aridcal.engine.fit.elimination import Elimination, Groups, PriorRows, Sums, solved
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import Channels, spread
@@ -53,7 +53,7 @@ class Columns:
     there: np.ndarray
     group: np.ndarray
     groups: Groups | None
-    known: Known
+    known: PriorRows
     share: float
     target: np.ndarray
 
@@ -151,7 +151,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         else:
             target[block] = fit.model.jacobian(fit.theta, fit_problem.rows[block])[2][:, :3]
     measured = ~fit_problem.measured.absent
-    nothing = Known(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
+    nothing = PriorRows(np.zeros(0, dtype=int), np.zeros((0, B.shape[2])), np.zeros(0))
     return Columns(
         rows=chosen,
         channels=fit_problem.channels,

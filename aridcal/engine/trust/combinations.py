@@ -73,7 +73,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Known:
+class Identifiability:
     """How well rows tell the constants.
 
     Attributes:
@@ -95,7 +95,7 @@ class Known:
     sigma: float
 
 
-def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None:
+def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Identifiability | None:
     """Ask what rows tell of the arm's constants; None for a fit without such constants.
 
     Args:
@@ -114,7 +114,7 @@ def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Known | None
     rows = columns_of(fit, train, fit.sigma, ROWS, progress)
     J = rows.target.reshape(-1, len(fit.theta))
     variance = float(np.sum((J @ fit.covariance) * J)) / len(rows)
-    return Known(
+    return Identifiability(
         names=tuple(names),
         combinations=_combinations(names, units, covariance),
         pairs=_pairs(names, units, covariance),

@@ -50,7 +50,7 @@ CHANNELS = (slice(0, 3), slice(3, 6))
 
 
 @dataclass(frozen=True)
-class Seen:
+class Coverage:
     """Coverage of the fitted rows of a calibration.
 
     Attributes:

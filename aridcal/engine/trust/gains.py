@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.engine.corrections.basis import evaluate
-from aridcal.engine.corrections.catalogue import Barred, merged
+from aridcal.engine.corrections.catalogue import UntestableEffect, merged
 from aridcal.engine.corrections.effect import ANGULAR, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.fit.least_squares import Fit
@@ -86,7 +86,7 @@ class NamedEffect:
 
 
 @dataclass(frozen=True)
-class Rejected:
+class RejectedEffect:
     """A candidate that was examined closely and not accepted."""
 
     effect: Effect
@@ -111,8 +111,8 @@ class Diagnosis:
     """
 
     effects: tuple[NamedEffect, ...]
-    rejected: tuple[Rejected, ...]
-    barred: tuple[Barred, ...]
+    rejected: tuple[RejectedEffect, ...]
+    barred: tuple[UntestableEffect, ...]
     tested: int
     clues: tuple[Clue, ...]
     over_time: float | None = None
@@ -135,7 +135,7 @@ def explain(diagnosed: SearchResult, every: Dataset, scored: np.ndarray, clues: 
         groups.setdefault(a.effect.identity, []).append(k)
     return Diagnosis(
         effects=_named(diagnosed, every, scored, groups) if groups else (),
-        rejected=tuple(Rejected(j.effect, j.p_value, j.score.gain, j.why) for j in search.rejected),
+        rejected=tuple(RejectedEffect(j.effect, j.p_value, j.score.gain, j.why) for j in search.rejected),
         barred=diagnosed.barred,
         tested=search.tested,
         clues=tuple(clues),

@@ -36,7 +36,7 @@ from typing import Any
 import numpy as np
 
 from aridcal.engine.fit.noise import copies, places
-from aridcal.engine.model.model import Frames
+from aridcal.engine.model.model import LabelledFrames
 from aridcal.engine.rows.dataset import Dataset
 
 STANDARD = "ISO 9283:1998"
@@ -137,7 +137,10 @@ def applies(rows: Dataset) -> bool:
 
 
 def iso_9283(
-    rows: Dataset, outlier: np.ndarray, nominal: tuple[Frames, np.ndarray], final: tuple[Frames, np.ndarray]
+    rows: Dataset,
+    outlier: np.ndarray,
+    nominal: tuple[LabelledFrames, np.ndarray],
+    final: tuple[LabelledFrames, np.ndarray],
 ) -> Iso9283 | None:
     """Evaluate all poses that were attained more than once; None where there is none.
 
@@ -194,7 +197,7 @@ def _hours(rows: Dataset, group: np.ndarray) -> float:
 
 
 def _figures(
-    rows: Dataset, cycles: Sequence[np.ndarray], pairs: np.ndarray, bases: Frames, residual: np.ndarray
+    rows: Dataset, cycles: Sequence[np.ndarray], pairs: np.ndarray, bases: LabelledFrames, residual: np.ndarray
 ) -> Figures:
     """All figures with one model as the command."""
     some = np.concatenate(cycles)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.combinations import Known, known
+from aridcal.engine.trust.combinations import Identifiability, known
 from aridcal.engine.trust.cross_validation import Folds, Influence, folds, influence, rows_of
 from aridcal.engine.trust.halves import Halves, halves
 from aridcal.system.progress import SILENT, Progress
@@ -26,7 +26,7 @@ class SecondLook:
     halves: dict[str, Halves | None]
     folds: Folds | None
     influence: Influence | None
-    known: Known | None
+    known: Identifiability | None
 
 
 def second_look(geometric: Fit, final: Fit, train: Dataset, progress: Progress = SILENT) -> SecondLook:

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import betainc, betaincinv
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import WORTH_SAYING, Repeats
+from aridcal.engine.fit.noise import WORTH_SAYING, RepeatScatter
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import DOUBT
@@ -49,7 +49,7 @@ UNKNOWN_NOISE = (
 
 
 @dataclass(frozen=True)
-class Beyond:
+class ExcessError:
     """Error of rows beyond the calibration's own uncertainty, along each axis, as seen from the target.
 
     Attributes:
@@ -83,7 +83,7 @@ class Beyond:
 
 
 @dataclass(frozen=True)
-class Kept:
+class ToleranceAnswer:
     """The tolerance that a region keeps.
 
     Attributes:
@@ -138,7 +138,7 @@ class Kept:
         return None if self.tolerance is None else not self.reasons
 
 
-def instrument_noise(fit: Fit, rows: Dataset, repeats: Repeats | None) -> np.ndarray:
+def instrument_noise(fit: Fit, rows: Dataset, repeats: RepeatScatter | None) -> np.ndarray:
     """Noise of each channel per axis that may be blamed on the instrument, shape (C,); 0 where it is not declared.
 
     It is the declared noise, but no more than the scatter of repeats, and 0 where the rows fit so well that the declared noise
@@ -164,7 +164,7 @@ def beyond(
     noise: np.ndarray,
     tool: Sequence[float],
     turn: bool,
-) -> Beyond | None:
+) -> ExcessError | None:
     """Error of the judging rows beyond the calibration; None where no row tells it.
 
     Of a point beside the target both the shift and the turn that explain a row count, together.
@@ -224,7 +224,7 @@ def beyond(
     if not held_out and fit.freedom < 1.0:  # not one measured number is left over that the calibration was not bent to
         return None
     free = 1.0 if held_out else fit.freedom / fit.numbers
-    return Beyond(
+    return ExcessError(
         squares=float(squares[with_size].sum() / count) / free,
         noise=float(scatter[with_size].sum() / count) if declared else 0.0,
         model=float(model[with_size].sum() / count) if held_out else 0.0,
@@ -239,10 +239,10 @@ def kept(
     known_model: Knowledge,
     region: Workspace,
     moves: tuple[np.ndarray, np.ndarray],
-    excess: Beyond | None,
+    excess: ExcessError | None,
     tolerance: float | None,
     turn: bool,
-) -> Kept | None:
+) -> ToleranceAnswer | None:
     """What a region keeps within; None where no row tells the error beyond the calibration.
 
     Args:
@@ -272,7 +272,7 @@ def kept(
     remarks = [] if excess.declared else [UNKNOWN_NOISE]
     if not excess.held_out:
         remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
-    answer = Kept(
+    answer = ToleranceAnswer(
         of="rotation" if turn else "position",
         tolerance=tolerance,
         bound=bound,
@@ -312,11 +312,11 @@ def kept(
     )
 
 
-def unjudged(of: str, tolerance: float) -> Kept:
+def unjudged(of: str, tolerance: float) -> ToleranceAnswer:
     """The answer where a tolerance was given, and no row tells anything of it."""
     nan = float("nan")
     reasons = (f"no row tells the target's {of}",)
-    return Kept(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
+    return ToleranceAnswer(of, tolerance, np.inf, 0.0, 0.0, nan, nan, 0.0, 0.0, 0, True, 0, nan, reasons, ())
 
 
 def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -328,7 +328,7 @@ def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator
     return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
 
 
-def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
+def _beyond(excess: ExcessError, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     """What goes beyond the calibration, shape (R, 3, draws): normal along a direction drawn at each place.
 
     Joints that do not repeat, and most that a model lacks, move a place more one way than another, which nobody knows. Of all
@@ -341,7 +341,7 @@ def _beyond(excess: Beyond, shape: tuple[int, ...], rng: np.random.Generator) ->
     return np.asarray(direction * size)
 
 
-def _why(answer: Kept) -> str:
+def _why(answer: ToleranceAnswer) -> str:
     """Why a region is not within its tolerance, as far as the calibration's own figures say it."""
     if np.isinf(answer.bound):
         return answer.gap

@@ -12,7 +12,7 @@ from aridcal.engine.fit.noise import carried, contradicted
 from aridcal.engine.fit.problem import BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.model.model import Rows
+from aridcal.engine.model.model import ModelRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import RANK
 from aridcal.engine.rows.dataset import Dataset
@@ -65,7 +65,7 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
     return replace(fit, covariance=fit.covariance + fit.covariance @ added @ fit.covariance)
 
 
-def target_sigma(fit: Fit, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+def target_sigma(fit: Fit, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
     r"""1-sigma of the predicted target in its worst direction, [m] and [rad], shape (N,) each.
 
     The square root of the largest eigenvalue of :math:`J \Sigma J^T`, J the target's Jacobian and Sigma the covariance of

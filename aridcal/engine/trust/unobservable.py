@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.trust.coverage import CHANNELS
 from aridcal.engine.trust.workspace import TOLD, OpenCombination, target_covariance, worst_direction
 
@@ -31,7 +31,9 @@ def with_untold(
     return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
-def told_of(model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: Rows, turns: bool) -> np.ndarray:
+def told_of(
+    model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: ModelRows, turns: bool
+) -> np.ndarray:
     """Rows at which the readings tell the target wholly, shape (N,) bool.
 
     Args:

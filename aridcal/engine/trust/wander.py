@@ -103,7 +103,7 @@ class Wander:
 
 
 @dataclass(frozen=True, eq=False)
-class Wandering:
+class WanderProcesses:
     """Processes at some rows.
 
     Attributes:
@@ -122,7 +122,7 @@ class Wandering:
     joints: tuple[tuple[int, ...], ...]
     slides: np.ndarray
 
-    def one_by_one(self) -> Iterator[tuple[float, Wandering]]:
+    def one_by_one(self) -> Iterator[tuple[float, WanderProcesses]]:
         """Each process as if it were certain, with its probability; last that none is, with its own."""
         for process in self.processes:
             yield process.probability, replace(self, processes=(replace(process, probability=1.0),))
@@ -158,7 +158,7 @@ class Wandering:
 
 def wandering(
     processes: Sequence[Wander], robot: Robot, readings: np.ndarray, ranges: dict[str, tuple[float, float]]
-) -> Wandering:
+) -> WanderProcesses:
     """Processes of a robot's zeros at some rows.
 
     Args:
@@ -168,7 +168,7 @@ def wandering(
         ranges: Lowest and highest value of each reading in the calibration.
     """
     low, high = np.array([ranges[name] for name in robot.readings]).T
-    return Wandering(tuple(processes), readings, low, high, *_joints(robot))
+    return WanderProcesses(tuple(processes), readings, low, high, *_joints(robot))
 
 
 def _joints(robot: Robot) -> tuple[tuple[tuple[int, ...], ...], np.ndarray]:

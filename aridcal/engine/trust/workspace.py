@@ -29,10 +29,10 @@ from aridcal.engine.fit.normal_equations import solve
 from aridcal.engine.fit.problem import BLOCK, problem
 from aridcal.engine.fit.residual import linearise
 from aridcal.engine.model.many_rows import blocks, few
-from aridcal.engine.model.model import Model, Rows
+from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.coverage import CHANNELS, Seen, holes, largest
+from aridcal.engine.trust.coverage import CHANNELS, Coverage, holes, largest
 
 SAMPLES = 512
 """Work: Configurations over the workspace: a share of 5 % is then known to 1 %, and the worst of them is that of all but some
@@ -78,7 +78,7 @@ class Workspace:
         turns_told: False where the rotation is not known, likewise, shape (M,).
     """
 
-    rows: Rows
+    rows: ModelRows
     readings: np.ndarray
     places: np.ndarray
     covariance: np.ndarray
@@ -132,9 +132,9 @@ class Knowledge:
     wide: Model
     follows: np.ndarray
     open: np.ndarray
-    seen: Seen
+    seen: Coverage
 
-    def columns(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def columns(self, rows: ModelRows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How a point on the target moves, and the target turns, with the coefficients and with the open constants.
 
         Args:
@@ -185,7 +185,7 @@ class Knowledge:
             measured &= ~far_from_nodes(fields, nominal)
         return Workspace(rows, readings, places, covariance, turns, axes, measured, *determined)
 
-    def _spread(self, rows: Rows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _spread(self, rows: ModelRows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A point on the target as :meth:`columns` has it, and its covariance by the coefficients and by the open constants."""
         local, extra = self.wide.local, len(self.open)
         if local is None:
@@ -199,7 +199,7 @@ class Knowledge:
         by_open = twists[:, :, local.carrier[local.plain]] @ combinations
         return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
 
-    def untold(self, rows: Rows, turns: bool) -> tuple[OpenCombination, ...]:
+    def untold(self, rows: ModelRows, turns: bool) -> tuple[OpenCombination, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
 
         Args:
@@ -230,13 +230,13 @@ class Knowledge:
             places[part] = np.einsum("nji,nj->ni", axes, at - origin)
         return places
 
-    def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> Rows:
+    def _rows(self, data: Dataset, readings: np.ndarray, like: np.ndarray) -> ModelRows:
         """Rows of the model at other readings, under the conditions of the rows ``like``."""
         covariates = {name: values[like] for name, values in data.conditions.items()}
         station, target = (None if v is None else v[like] for v in (data.labels.station, data.labels.target))
         return self.fit.model.rows(readings, covariates, station, target)
 
-    def _bases(self, rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    def _bases(self, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
         """Axes of each row's base in the world, shape (M, 3, 3), and its origin, shape (M, 3), [m]."""
         bases = self.fit.model.frames(self.fit.theta)[0]
         axes = np.array([frame.rotation for _, frame in bases])
@@ -257,7 +257,7 @@ def worst_direction(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def target_covariance(
-    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows, tool: np.ndarray | None = None
+    model: Model, theta: np.ndarray, covariance: np.ndarray, rows: ModelRows, tool: np.ndarray | None = None
 ) -> np.ndarray:
     r"""Covariance :math:`J \Sigma J^T` of the target's position [m] and rotation vector [rad], world axes, shape (N, 6, 6).
 
@@ -280,7 +280,7 @@ def target_covariance(
     return covariances
 
 
-def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: Rows) -> np.ndarray:
+def target_std(model: Model, theta: np.ndarray, covariance: np.ndarray, rows: ModelRows) -> np.ndarray:
     """Roots of the diagonals of :func:`target_covariance`, shape (N, 6): the whole would take six times the memory."""
     std = np.empty((len(rows), 6))
     for part in blocks(len(rows)):
@@ -356,7 +356,7 @@ def _less_frames(frames: Sequence[str], known_model: Knowledge, train: Dataset) 
     return replace(known_model, open=projector @ known_model.open @ projector.T)
 
 
-def _coverage(fit: Fit, train: Dataset) -> Seen:
+def _coverage(fit: Fit, train: Dataset) -> Coverage:
     """Ranges, holes and largest uncertainty of the fitted rows without outliers."""
     inliers = train.select(~fit.outliers)
     model = fit.model
@@ -369,7 +369,7 @@ def _coverage(fit: Fit, train: Dataset) -> Seen:
         std[:, 3:] = np.inf
     ranges = {name: (float(np.nanmin(v)), float(np.nanmax(v))) for name, v in columns.items()}
     gaps = {name: gap for name, v in columns.items() if (gap := holes(v))}
-    return Seen(ranges, gaps, largest(std))
+    return Coverage(ranges, gaps, largest(std))
 
 
 def spread_out(low: np.ndarray, high: np.ndarray, count: int = SAMPLES) -> np.ndarray:

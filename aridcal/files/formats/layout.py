@@ -40,7 +40,7 @@ LAST_CHOSEN = frozenset({"id", "parent", "type"})
 
 
 @dataclass(frozen=True)
-class Layout:
+class TableLayout:
     """Where a table stands.
 
     Attributes:
@@ -64,9 +64,9 @@ class Layout:
     score: int
 
 
-def layout(lines: Sequence[str]) -> Layout | None:
+def layout(lines: Sequence[str]) -> TableLayout | None:
     """The layout that makes the most numbers of some lines; None where none makes a table of them."""
-    best: Layout | None = None
+    best: TableLayout | None = None
     for separator in SEPARATORS:
         if separator == BLANKS and best is not None:  # words of names are parted by blanks, too
             return best
@@ -76,7 +76,7 @@ def layout(lines: Sequence[str]) -> Layout | None:
     return best
 
 
-def _layout(lines: Sequence[str], separator: str) -> Layout | None:
+def _layout(lines: Sequence[str], separator: str) -> TableLayout | None:
     marks = tuple(mark for mark in COMMENTS if mark != separator)
     used: set[str] = set()
     split: list[list[str]] = []
@@ -106,7 +106,7 @@ def _layout(lines: Sequence[str], separator: str) -> Layout | None:
     header = _header(lines, split, commented, first, comment, separator, numeric, width)
     names = joined([split_line(uncommented(lines[k], comment), separator) for k in header]) if header else []
     _refuse_second_header(split, header, rows, numeric)
-    return Layout(
+    return TableLayout(
         separator, tuple(k + 1 for k in header), first + 1, tuple(comment), tuple(names),
         tuple(tuple(split[k]) for k in rows), frozenset(numeric), sum(counts[k] for k in rows),
     )  # fmt: skip

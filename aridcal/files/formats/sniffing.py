@@ -13,7 +13,7 @@ from pathlib import Path
 
 from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.encodings import encoding
-from aridcal.files.formats.layout import Layout, layout, list_parts, list_size
+from aridcal.files.formats.layout import TableLayout, layout, list_parts, list_size
 from aridcal.files.formats.makers import maker
 from aridcal.files.formats.numbers_seen import is_number, marks
 from aridcal.system.errors import MeasurementError, listed
@@ -49,7 +49,7 @@ Pick = Callable[[str, str, Sequence[str], str], int]
 
 
 @dataclass(frozen=True)
-class Found:
+class FileFormat:
     """How a file is written.
 
     Attributes:
@@ -61,7 +61,7 @@ class Found:
     maker: str = ""
 
 
-def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
+def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
     """Find out how a file is written.
 
     Args:
@@ -89,7 +89,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
     except MeasurementError as problem:
         raise MeasurementError(f"{path}, {problem}") from None
     if found is None:
-        return Found((replace(PLAIN, encoding=coded, sheet=sheet),), who)
+        return FileFormat((replace(PLAIN, encoding=coded, sheet=sheet),), who)
     if ending not in workbooks.ENDINGS:
         separated = found.separator
     if not found.header:
@@ -111,7 +111,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> Found:
     if sheet or ending in workbooks.ENDINGS:
         numbers = [cell for cell in numbers if "," in cell] or numbers  # Excel's own numbers are none in any dialect
     pairs = marks(numbers, str(path))
-    return Found(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
+    return FileFormat(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
 
 
 def as_keys(dialect: Dialect) -> dict[str, object]:
@@ -137,12 +137,12 @@ def _of(who: str) -> str:
     return f" (it looks like an export of {who})" if who else ""
 
 
-def _first_row(found: Layout) -> int:
+def _first_row(found: TableLayout) -> int:
     """0 where rows begin right below the header."""
     return 0 if found.first == max(found.header) + 1 else found.first
 
 
-def _samples(content: bytes, path: Path, pick: Pick) -> Found:
+def _samples(content: bytes, path: Path, pick: Pick) -> FileFormat:
     """Samples of robot_calibration, and the sensor that measured."""
     names = robot_calibration.sensors(content, path)
     if not names:
@@ -150,7 +150,7 @@ def _samples(content: bytes, path: Path, pick: Pick) -> Found:
             f"{path}: no sensor has points that change from sample to sample; measure more configurations"
         )
     k = 0 if len(names) == 1 else pick("table.sheet", "which sensor measured the target", names, f"{path} has several")
-    return Found((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
+    return FileFormat((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
 
 
 def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, str]:
@@ -170,7 +170,7 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     return ("" if len(names) == 1 else tables[k]), texts[tables[k]]
 
 
-def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
+def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
     """Columns of lists, and names for their numbers."""
     lists: dict[str, tuple[str, ...]] = {}
     for k, name in enumerate(found.names):
@@ -202,7 +202,7 @@ def _lists(found: Layout) -> dict[str, tuple[str, ...]]:
     return lists
 
 
-def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
+def _dates(found: TableLayout, path: Path, pick: Pick) -> Dates | None:
     """Columns of dates and times of day, if any, and the order of their numbers."""
     columns: list[str] = []
     for k, name in enumerate(found.names):
@@ -230,7 +230,7 @@ def _dates(found: Layout, path: Path, pick: Pick) -> Dates | None:
     )
 
 
-def _filled(found: Layout, k: int) -> list[str]:
+def _filled(found: TableLayout, k: int) -> list[str]:
     return [row[k] for row in found.rows if k < len(row) and row[k]]
 
 

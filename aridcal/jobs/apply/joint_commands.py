@@ -48,7 +48,7 @@ CHECK_POINTS = 300
 """Configurations between its points at which a table is checked."""
 
 
-Told = Callable[[int], None]
+RowCounter = Callable[[int], None]
 """Gets the number of rows that are done."""
 
 
@@ -57,7 +57,7 @@ def unheard(rows: int) -> None:
 
 
 def compensate(
-    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: Told = unheard
+    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: RowCounter = unheard
 ) -> pd.DataFrame:
     """Fill in the joint commands for each row of wanted poses.
 
@@ -123,7 +123,7 @@ class Trajectory:
         self._walks = _Walk(saved), _Walk(saved)
         self._sides = {name: (0.0, math.nan) for name in directions(saved)}
 
-    def follow(self, query: Query, report: Told = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
+    def follow(self, query: Query, report: RowCounter = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
         """Command the rows of one more stretch.
 
         Returns:
@@ -169,7 +169,7 @@ class _Walk:
         self._ranges = np.array([saved.ranges.get(name, (0.0, 0.0)) for name in model.robot.readings])
         self._last, self._rng = self._ranges.mean(axis=1), np.random.default_rng(0)
 
-    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], report: Told) -> list[Command]:
+    def commands(self, query: Query, covariates: Mapping[str, np.ndarray], report: RowCounter) -> list[Command]:
         """Command the rows of one more stretch."""
         missing = sorted(self._needed - covariates.keys())
         if missing:

@@ -15,7 +15,7 @@ from aridcal.engine.corrections.regional_kind import far_from_nodes, labels_of, 
 from aridcal.engine.inverse.one_pose import InverseKinematics
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.remarks import Remark
-from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Seen, beyond_heat, elsewhere
+from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Coverage, beyond_heat, elsewhere
 from aridcal.engine.trust.rival_predictions import between
 from aridcal.engine.trust.unobservable import told_of
 from aridcal.engine.trust.workspace import spread_out, target_covariance, worst_direction
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from aridcal.files.tables import AnyTable, Table
-    from aridcal.jobs.apply.stretches import Stretch
+    from aridcal.jobs.apply.stretches import TableStretch
 
 
 def read_query(saved: SavedModel, table: AnyTable, poses: bool = False) -> Query:
@@ -59,7 +59,7 @@ def nothing_usable(refused: Sequence[Remark], poses: bool) -> MeasurementError:
     )
 
 
-def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, Stretch]]:
+def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Iterator[tuple[Query, TableStretch]]:
     """Read a query a stretch at a time: a table of any length takes little memory, and a long one is checked by stretches.
 
     Args:
@@ -346,8 +346,8 @@ def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:
     """Rows that are unlike the fitted ones, shape (N,) bool.
 
-    See :meth:`aridcal.engine.trust.coverage.Seen.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`. Further rows are
-    those far from all nodes of a field in space, and those with another label than the effects by label have.
+    See :meth:`aridcal.engine.trust.coverage.Coverage.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`. Further rows
+    are those far from all nodes of a field in space, and those with another label than the effects by label have.
 
     Args:
         saved: The model.
@@ -355,7 +355,7 @@ def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.nda
         std: See :func:`std_of`.
     """
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
-    coverage = Seen(saved.ranges, saved.holes, saved.largest_std)
+    coverage = Coverage(saved.ranges, saved.holes, saved.largest_std)
     unlike = coverage.beyond(query.covariates | readings, std)
     unlike |= elsewhere(query.covariates | readings, saved.recorded)
     unlike |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated

@@ -65,7 +65,7 @@ SMALLEST_BLOB, LARGEST_BLOB = 20, 0.05
 
 
 @dataclass(frozen=True)
-class Found:
+class ImageMarks:
     """Marks in an image.
 
     Attributes:
@@ -81,7 +81,7 @@ class Found:
     group: np.ndarray
 
 
-def find(image: np.ndarray, board: AnyBoard) -> Found:
+def find(image: np.ndarray, board: AnyBoard) -> ImageMarks:
     """Find the marks of a board.
 
     Args:
@@ -123,7 +123,7 @@ def _markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray
     return numbers, quads
 
 
-def _find_tags(image: np.ndarray, board: Tags) -> Found:
+def _find_tags(image: np.ndarray, board: Tags) -> ImageMarks:
     numbers, quads = _markers(image, board.dictionary)
     labels, times = np.unique(numbers, return_counts=True)
     if np.any(times > 1):
@@ -150,12 +150,12 @@ def _find_tags(image: np.ndarray, board: Tags) -> Found:
     if not pixels:
         raise NotMeasured(reason)
     flat = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])
-    return Found(
+    return ImageMarks(
         tuple(names), np.concatenate(pixels), np.tile(flat, (len(pixels), 1)), np.repeat(np.arange(len(pixels)), 4)
     )
 
 
-def _find_charuco(image: np.ndarray, board: Board) -> Found:
+def _find_charuco(image: np.ndarray, board: Board) -> ImageMarks:
     numbers, quads = _markers(image, board.dictionary)
     charuco = board.opencv()
     count = len(charuco.getIds())
@@ -185,7 +185,7 @@ def _find_charuco(image: np.ndarray, board: Board) -> Found:
     n = modules(board.dictionary)
     starts, ends = (np.concatenate(lines) for lines in zip(*(side_lines(quad, n) for quad in quads), strict=True))
     _refuse_blur(image, starts.reshape(-1, 2), ends.reshape(-1, 2), BLURRED_MODULE * float(side) / n)
-    return Found(tuple(f"c{k}" for k in labels), pixels, places, np.zeros(len(labels), int))
+    return ImageMarks(tuple(f"c{k}" for k in labels), pixels, places, np.zeros(len(labels), int))
 
 
 def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
@@ -206,7 +206,7 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
     return misfit
 
 
-def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
+def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> ImageMarks:
     """The inner corners of a chessboard, or the circles of a grid: all of them, or the image is refused."""
     places = flat_places(board)
     if isinstance(board, Chessboard):
@@ -229,7 +229,7 @@ def _find_grid(image: np.ndarray, board: Chessboard | Circles) -> Found:
         _refuse_blurred_board(image, seen_grid)
         sides = [np.linalg.norm(np.diff(seen_grid, axis=axis), axis=2).min() for axis in (0, 1)]
         pixels = _refined_corners(image, pixels, WINDOW * float(min(sides)))
-    return Found(tuple(f"c{k}" for k in range(len(places))), pixels, places, np.zeros(len(places), int))
+    return ImageMarks(tuple(f"c{k}" for k in range(len(places))), pixels, places, np.zeros(len(places), int))
 
 
 def _refined_corners(image: np.ndarray, pixels: np.ndarray, window: float) -> np.ndarray:

@@ -206,7 +206,7 @@ class LargestPart(Section):
     rotation: Annotated[float, Field(ge=0, allow_inf_nan=True)] = np.inf
 
 
-class UntoldPart(Section):
+class UnobservablePart(Section):
     """One constant of a combination that no reading tells, and how far it may be off together with the others."""
 
     where: str
@@ -252,7 +252,7 @@ class CalibrationDocument(Settings):
     largest_std: LargestPart = LargestPart()
     geometric: SolvedPart
     final: SolvedPart
-    untold: tuple[tuple[UntoldPart, ...], ...] = ()
+    untold: tuple[tuple[UnobservablePart, ...], ...] = ()
     rivals: tuple[RivalPart, ...] = ()
 
 
@@ -285,7 +285,7 @@ class WanderPart(Section):
     probability: Annotated[float, Field(gt=0, le=1.0 + SUM_SLACK)]
 
 
-class Record(Section):
+class CalibrationRecord(Section):
     """Keys beside the model that some command reads."""
 
     campaign: str = ""
@@ -300,7 +300,7 @@ class Record(Section):
     """Processes that joint zeros may follow from place to place; older files have none."""
 
     @model_validator(mode="after")
-    def _sum(self) -> Record:
+    def _sum(self) -> CalibrationRecord:
         if sum(process.probability for process in self.wander) > 1.0 + SUM_SLACK:
             raise ValueError("wander: probabilities of more than 1 in all")
         return self
@@ -322,8 +322,8 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
             raise CampaignError(f"{path}: `format: 1` expected on top")
         model_keys = CalibrationDocument.model_fields.keys() - {"limits"}
         record = {key: value for key, value in keys.items() if key not in model_keys}
-        checked = {key: value for key, value in record.items() if key in Record.model_fields}
-        validated(checked, lines, path, Record)
+        checked = {key: value for key, value in record.items() if key in CalibrationRecord.model_fields}
+        validated(checked, lines, path, CalibrationRecord)
         of_model = {key: value for key, value in keys.items() if key in model_keys}
         return validated(of_model, lines, path, CalibrationDocument), record
     except CampaignError as problem:

@@ -189,7 +189,7 @@ def write_controllers(outcome: Outcome, handover: ControllerExports, folder: Pat
 
 
 @dataclass(frozen=True)
-class Table:
+class ControllerTable:
     """Constants of `calibrated.urdf` as one kind of controller reads them.
 
     Attributes:
@@ -201,19 +201,19 @@ class Table:
     notes: tuple[str, ...]
 
 
-def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
+def tables(nominal: Robot, calibrated: Robot) -> dict[str, ControllerTable]:
     """Tables of link parameters, by file: of each limb from the base outwards, where it has them."""
 
-    def doty(before: Robot, after: Robot) -> Table:
-        return Table(doty_yaml(after), ())
+    def doty(before: Robot, after: Robot) -> ControllerTable:
+        return ControllerTable(doty_yaml(after), ())
 
-    def makers(before: Robot, after: Robot) -> Table:
-        return Table(kinematics_yaml(before, after), ())
+    def makers(before: Robot, after: Robot) -> ControllerTable:
+        return ControllerTable(kinematics_yaml(before, after), ())
 
-    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], Table]:
-        def made(before: Robot, after: Robot) -> Table:
+    def dh(make: Callable[[Robot], DHTable]) -> Callable[[Robot, Robot], ControllerTable]:
+        def made(before: Robot, after: Robot) -> ControllerTable:
             table = make(after)
-            return Table(table.dump(), tuple(table.warnings))
+            return ControllerTable(table.dump(), tuple(table.warnings))
 
         return made
 
@@ -223,7 +223,7 @@ def tables(nominal: Robot, calibrated: Robot) -> dict[str, Table]:
     return {name: _by_limb(make, nominal, calibrated) for name, make in makers_by_file.items()}
 
 
-def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: Robot) -> Table:
+def _by_limb(make: Callable[[Robot, Robot], ControllerTable], nominal: Robot, calibrated: Robot) -> ControllerTable:
     """A table of the chain, or of each limb."""
     if not nominal.others:
         return make(nominal, calibrated)
@@ -244,7 +244,7 @@ def _by_limb(make: Callable[[Robot, Robot], Table], nominal: Robot, calibrated: 
             table = make(before, after)
             parts.append(f"  {before.tip}:\n{indent(table.text, '    ')}")
             notes += [f"{before.tip}: {note}" for note in table.notes]
-    return Table("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
+    return ControllerTable("limbs:\n" + "".join(parts) if parts else "limbs: {}\n", tuple(notes))
 
 
 def index_document(outcome: Outcome, of_regions: Regions) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from aridcal.engine.instruments.kinds import KINDS
 from aridcal.engine.instruments.pixels import PLACE, R9, T
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import Things
-from aridcal.engine.model.predictions import Measured
+from aridcal.engine.model.predictions import Observations
 from aridcal.engine.robot.kinematics import along_plane
 from aridcal.engine.rows.dataset import Dataset
 
@@ -87,7 +87,7 @@ def thing_values(fit: Fit, train: Dataset) -> tuple[ThingValue, ...]:
     return tuple(values)
 
 
-def references(measured: Measured, role: str) -> tuple[np.ndarray, np.ndarray]:
+def references(measured: Observations, role: str) -> tuple[np.ndarray, np.ndarray]:
     """Rows that refer to things of a role, and the number of the thing, shape (n,) each."""
     rows, thing = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for b, block in enumerate(measured.blocks):
@@ -162,7 +162,7 @@ def _solved(fit_problem: Problem, fit: Fit) -> _Solved | None:
     return _Solved(fit_problem.groups, groups, fit.covariance, _members(fit_problem.measured, fit_problem.groups))
 
 
-def _members(measured: Measured, groups: Groups) -> list[list[str]]:
+def _members(measured: Observations, groups: Groups) -> list[list[str]]:
     """Names of the unknowns of each group, in their order."""
     names = [[""] * groups.unknown.shape[1] for _ in range(len(groups.unknown))]
     for role, slots in groups.slot.items():

@@ -48,7 +48,7 @@ FRAMES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
 
 
 @dataclass(frozen=True)
-class Step:
+class ModelStep:
     """One model on the way from the nominal robot to the whole model.
 
     Attributes:
@@ -217,23 +217,23 @@ def solved_stages(outcome: Outcome) -> dict[str, Stage]:
     return {name: stage for name, stage in stages if stage.name != "nominal"}
 
 
-def steps(outcome: Outcome) -> list[Step]:
+def steps(outcome: Outcome) -> list[ModelStep]:
     """From the nominal robot to the whole model, one effect at a time; models with the same residual are one step."""
     *first, final = outcome.stages
     last = outcome.effects[-1].effect.label if outcome.effects else ""
-    path = [Step((stage.name,), "", stage.residual) for stage in first]
-    path += [Step((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
-    path.append(Step((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
-    merged: list[Step] = []
+    path = [ModelStep((stage.name,), "", stage.residual) for stage in first]
+    path += [ModelStep((f"{PLUS}{e.effect.label}",), e.effect.label, e.reached) for e in outcome.effects[:-1]]
+    path.append(ModelStep((f"{PLUS}{last}", final.name) if last else (final.name,), last, final.residual))
+    merged: list[ModelStep] = []
     for step in path:
         if merged and np.array_equal(merged[-1].residual, step.residual):
             before = merged.pop()
-            step = Step(before.names + step.names, before.effect or step.effect, step.residual)
+            step = ModelStep(before.names + step.names, before.effect or step.effect, step.residual)
         merged.append(step)
     return merged
 
 
-def removed_shares(outcome: Outcome) -> list[tuple[Step, float]]:
+def removed_shares(outcome: Outcome) -> list[tuple[ModelStep, float]]:
     r"""Which share of the squared error (see :func:`squared`) each step removes, the largest first.
 
     .. math:: s_k = (e_{k-1}^2 - e_k^2) / e_0^2

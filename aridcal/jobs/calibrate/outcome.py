@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import Repeats
+from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.instruments.channels import Channels, norms
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
@@ -109,7 +109,7 @@ class Outcome:
     outlier: np.ndarray
     noise: np.ndarray
     noise_source: str
-    repeats: Repeats | None
+    repeats: RepeatScatter | None
     precision: Precision
     verdict: Verdict
     notices: tuple[str, ...]

@@ -12,7 +12,7 @@ import numpy as np
 from aridcal.engine.fit.constants import asked_constants, station_labels, unused_links
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit, fit
-from aridcal.engine.fit.noise import Repeats, declared_notices, repeats
+from aridcal.engine.fit.noise import RepeatScatter, declared_notices, repeats
 from aridcal.engine.fit.problem import problem, scaled, unscaled
 from aridcal.engine.fit.stages import Geometry, recentred, with_things_moved
 from aridcal.engine.model.memory import Size, available_memory, check_memory
@@ -43,7 +43,7 @@ from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
 from aridcal.jobs.calibrate.groups import LEAST_SHARE, groups
-from aridcal.jobs.calibrate.job_inputs import Job, looked_again, read_job
+from aridcal.jobs.calibrate.job_inputs import CalibrationJob, looked_again, read_job
 from aridcal.jobs.calibrate.limb_redundancies import limb_redundancies
 from aridcal.jobs.calibrate.measuring_head import lens_found, measuring_head
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification
@@ -86,7 +86,7 @@ ONE_PLACE = "the {} rows lie in {} places, and those of one place err alike: the
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedArm:
     """A calibrated arm with what may be said of it.
 
     Attributes:
@@ -99,13 +99,13 @@ class Judged:
 
     stages: tuple[Stage, ...]
     outlier: np.ndarray
-    repeats: Repeats | None
+    repeats: RepeatScatter | None
     clues: tuple[Clue, ...]
     verdict: Verdict
 
 
 def identify(
-    job: Path | Campaign | Job,
+    job: Path | Campaign | CalibrationJob,
     seed: int = 0,
     verify: AnyTable | None = None,
     progress: Progress = SILENT,
@@ -127,7 +127,7 @@ def identify(
     Raises:
         AridcalError: whatever in the input needs mending.
     """
-    if not isinstance(job, Job):
+    if not isinstance(job, CalibrationJob):
         job = read_job(job, seed, progress, cache, verify is not None)
     # read before the work is done, so that a table of the campaign's own rows is refused at once
     verification_rows = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
@@ -145,7 +145,7 @@ def identify(
 
 
 def _calibrated(
-    job: Job, choose: Callable[[Dataset], Dataset], judge: Judge, progress: Progress
+    job: CalibrationJob, choose: Callable[[Dataset], Dataset], judge: Judge, progress: Progress
 ) -> tuple[CalibratedArm, np.ndarray | None]:
     """The calibrated arm of a job, and the readings of the region that its campaign names; see :func:`identify`."""
     campaign, robot, rows = job.campaign, job.robot, choose(job.rows)
@@ -269,7 +269,7 @@ def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[S
     return nominal, replace(geometric, fit=geometric_fit), final
 
 
-def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
+def judged(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
     """Fit every stage with the final model's flags, put all questions to the residuals, and decide on the verdict."""
     rows = arm.rows
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
@@ -291,7 +291,7 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> Judged:
     noise_known = all(s is not None or f > 0 for s, f in zip(rows.sigma, freedom.tolist(), strict=True))
     setting = gravity_direction(arm.geometry.geometric, rows.fitted)
     verdict = decide(answers, effects, min(_freedom(final), arm.geometry.free), noise_known, setting)
-    return Judged(stages, outlier, scatter, tuple(answers), verdict)
+    return JudgedArm(stages, outlier, scatter, tuple(answers), verdict)
 
 
 def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray) -> list[Clue]:

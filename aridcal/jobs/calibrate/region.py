@@ -11,7 +11,7 @@ from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.inverse.reachable import brought
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.certainty import Wanted
+from aridcal.engine.trust.certainty import Requirement
 from aridcal.engine.trust.workspace import SAMPLES, spread_out
 from aridcal.files.campaign import Campaign
 from aridcal.files.counting import counting
@@ -103,11 +103,13 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
 
 
-def wanted(campaign: Campaign) -> Wanted:
+def wanted(campaign: Campaign) -> Requirement:
     """The point, tolerance and title of the region that a campaign names."""
     settings, tolerance = campaign.region, campaign.tolerance
     title = "the joint ranges named" if settings.file is None else f"the places of {settings.file.name}"
-    return Wanted(settings.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title)
+    return Requirement(
+        settings.tool, (None, None) if tolerance is None else (tolerance.position, tolerance.rotation), title
+    )
 
 
 def corners(campaign: Campaign, robot: Robot, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -21,9 +21,9 @@ from aridcal.engine.instruments.kinds import KINDS, labelled
 from aridcal.engine.inverse.one_pose import Command, InverseKinematics
 from aridcal.engine.inverse.one_row import OneRowModel
 from aridcal.engine.model.many_rows import few
-from aridcal.engine.model.model import Frames, Model
+from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Route, check_route, parse_robot, with_limbs
-from aridcal.engine.robot.drive import Stated
+from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import carriers
 from aridcal.engine.trust.rival_predictions import Rival, with_rivals
 from aridcal.engine.trust.unobservable import with_untold
@@ -444,7 +444,7 @@ class SavedModel:
         return str(yaml.dump(document, Dumper=Dumper, sort_keys=False, allow_unicode=True, width=110))
 
 
-def frames_document(frames: Frames) -> list[dict[str, Any]]:
+def frames_document(frames: LabelledFrames) -> list[dict[str, Any]]:
     """Frames as plain data: xyz [m] and quaternion (xyzw), with the station's label."""
     return [
         {"station": label, "xyz": _floats(f.translation), "quaternion": _floats(pin.Quaternion(f.rotation).coeffs())}
@@ -510,7 +510,7 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         KeyError, IndexError, ValueError, ArithmeticError: a coefficient has no place in the URDF, or its motion is no number.
     """
     about = document.robot
-    without_column = Stated(about.joints, about.coupled)
+    without_column = StatedJoints(about.joints, about.coupled)
     robot = parse_robot(about.content, about.tip, about.base, Path(about.urdf_name), stated=without_column)
     robot = with_limbs(robot, about.limbs) if about.limbs else robot
     paths: dict[str, Any] = {"routes": tuple(Route(*ends) for ends in about.routes), "target_on": about.targets}
@@ -566,7 +566,7 @@ def _try(solved: SolvedModel, middle: Mapping[str, float]) -> None:
         raise ValueError("a predicted pose is not finite")
 
 
-def _frames(entries: Sequence[FramePart]) -> Frames:
+def _frames(entries: Sequence[FramePart]) -> LabelledFrames:
     return tuple(
         (e.station, pin.SE3(pin.Quaternion(np.array(e.quaternion)).matrix(), np.array(e.xyz))) for e in entries
     )

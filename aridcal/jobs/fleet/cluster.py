@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone, in_words
+from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure, in_words
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Progress
 
@@ -54,7 +54,7 @@ TELL_IDLE = 30.0
 MISSING = 'fleets need Dask, which is not installed: pip install "aridcal[fleet]"'
 
 
-class Died(Broken):
+class WorkerDeaths(WorkFailure):
     """Workers died at it, one after another."""
 
 
@@ -193,7 +193,7 @@ def _engine(current: Callable[[], Client], progress: Progress, patience: float) 
         patience: 0 where a broken connection is the end.
     """
 
-    def engine(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | Broken]]:
+    def engine(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
         waiting = dict(tasks)
         again: set[str] = set()
         while waiting:
@@ -211,7 +211,7 @@ def _engine(current: Callable[[], Client], progress: Progress, patience: float) 
 
 def _asked(
     client: Client, work: Callable[[T], R], tasks: Mapping[str, T], again: set[str], progress: Progress
-) -> Iterator[tuple[str, R | Broken]]:
+) -> Iterator[tuple[str, R | WorkFailure]]:
     """Have tasks done on one connection; those given are let go if the block around ends early.
 
     Args:
@@ -245,7 +245,7 @@ def _asked(
                 following = left.pop()
                 flying[following] = _given(client, work, tasks[following], following, following in again, answers)
             answer = _answer(done)
-            if isinstance(answer, Died) and name not in again:
+            if isinstance(answer, WorkerDeaths) and name not in again:
                 again.add(name)
                 left.insert(0, name)
                 progress.note(f"of one task {answer.why}; it is tried once more at the end")
@@ -302,5 +302,5 @@ def _answer(future: Future) -> Any:
         raise _Lost from None
     if isinstance(problem, KilledWorker):
         times = problem.allowed_failures + 1
-        return Died(f"{times} workers died at it, the last one on {problem.last_worker.address}")
-    return Broken(in_words(problem) if problem is not None else "nothing was said of it")
+        return WorkerDeaths(f"{times} workers died at it, the last one on {problem.last_worker.address}")
+    return WorkFailure(in_words(problem) if problem is not None else "nothing was said of it")

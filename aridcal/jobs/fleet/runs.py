@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone
+from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.keys import Inputs
 from aridcal.jobs.fleet.members import Member
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row, failed_row, row_in
@@ -116,7 +116,7 @@ def computed(plan: FleetPlan, engine: Engine, progress: Progress) -> FleetResult
     try:
         for name, answer in engine(calibrated, plan.tasks):
             robot, campaign = plan.tasks[name].robot, Path(plan.tasks[name].campaign)
-            if isinstance(answer, Broken):
+            if isinstance(answer, WorkFailure):
                 answer = failed_row(robot, campaign, plan.inputs[robot], answer.why, 0.0, None)
             results[robot] = answer
             rows = merged(rows, [answer])

@@ -27,7 +27,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Point:
+class CaseFigures:
     """One case of a study.
 
     Attributes:
@@ -54,7 +54,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Scatter:
+class ConstantScatter:
     """A constant over the runs of a case.
 
     Attributes:
@@ -101,7 +101,7 @@ def median(values: Sequence[float]) -> Estimate:
     return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]))
 
 
-def points(rows: Sequence[Row]) -> list[Point]:
+def points(rows: Sequence[Row]) -> list[CaseFigures]:
     """Cases of a study by size, then by number of rows."""
     cases: dict[tuple[float, float], list[Row]] = {}
     for row in rows:
@@ -110,7 +110,7 @@ def points(rows: Sequence[Row]) -> list[Point]:
     return [point for place in sorted(cases) if (point := _point(cases[place])) is not None]
 
 
-def _point(rows: Sequence[Row]) -> Point | None:
+def _point(rows: Sequence[Row]) -> CaseFigures | None:
     """One case; None if no run of it came to anything."""
     done = [row for row in rows if row["status"] == DONE]
     if not done:
@@ -118,7 +118,7 @@ def _point(rows: Sequence[Row]) -> Point | None:
     true = [row["true_rms_mm"] for row in done if row["true_rms_mm"] is not None]
     final = [row["final"] for row in done if row["final"] is not None]
     sought = done[0]["found"] is not None
-    return Point(
+    return CaseFigures(
         rows=done[0]["rows"],
         size=done[0]["size"],
         runs=len(done),
@@ -142,7 +142,7 @@ def found_again(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
     return [(label, share(times, len(done))) for label, times in ordered]
 
 
-def scatters(rows: Sequence[Row]) -> list[Scatter]:
+def scatters(rows: Sequence[Row]) -> list[ConstantScatter]:
     """How far each constant of the arm scatters over the runs, beside what they state, the most understated first.
 
     The interval of a standard deviation is that of normal values with so many degrees of freedom, by Wilson and Hilferty (1931,
@@ -158,10 +158,10 @@ def scatters(rows: Sequence[Row]) -> list[Scatter]:
     return sorted(found, key=lambda s: -s.scatter / s.std if s.std > 0 else -math.inf)
 
 
-def _scatter(name: str, own: Sequence[Row]) -> Scatter:
+def _scatter(name: str, own: Sequence[Row]) -> ConstantScatter:
     freedom = len(own) - 1
     spread = float(np.std([c["value"] for c in own], ddof=1))
     z, v = float(ndtri(0.5 + 0.5 * CONFIDENCE)), 2.0 / (9.0 * freedom)
     low, high = (spread / max(1.0 - v + s * z * math.sqrt(v), 1e-3) ** 1.5 for s in (1.0, -1.0))
     std = float(np.sqrt(np.mean([c["std"] ** 2 for c in own])))
-    return Scatter(name, own[0]["unit"], len(own), spread, low, high, std)
+    return ConstantScatter(name, own[0]["unit"], len(own), spread, low, high, std)

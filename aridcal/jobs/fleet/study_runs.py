@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.jobs.fleet.in_process import Broken, Engine, EngineGone
+from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row
 from aridcal.jobs.fleet.runs import SAVE_EVERY
 from aridcal.jobs.fleet.trials import Trial, tried
@@ -94,7 +94,7 @@ def studied(
     try:
         for name, answer in engine(tried, waiting):
             trial = waiting[name]
-            if isinstance(answer, Broken):
+            if isinstance(answer, WorkFailure):
                 case = {"rows": trial.case.rows or None, "size": trial.case.size, "run": trial.run, "seed": trial.seed}
                 answer = {"key": trial.key, **case, "status": FAILED, "error": answer.why}
             rows[trial.key] = answer

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.files.campaign import Campaign, Job
+from aridcal.files.campaign import Campaign, JobSettings
 from aridcal.files.purposes import StudySettings
 from aridcal.files.quantities import POSITION, column_of
 from aridcal.files.yaml_file import load_settings
@@ -174,7 +174,7 @@ def _inputs(job: Scenario | Campaign) -> str:
 
 def _campaign(scenario: Scenario, text: str = "") -> Campaign:
     """The campaign in a scenario, without its tables."""
-    keys = {name: getattr(scenario, name) for name in Job.model_fields if name != "study"}
+    keys = {name: getattr(scenario, name) for name in JobSettings.model_fields if name != "study"}
     campaign = Campaign.model_construct().model_copy(update=keys)
     campaign._path, campaign._text = scenario.path, text
     return campaign

@@ -29,7 +29,7 @@ from aridcal.jobs.head1992.charuco import corner_places
 from aridcal.jobs.head1992.fiducials import Fiducials
 from aridcal.jobs.head1992.head_settings import HeadSettings, range_columns
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
-from aridcal.jobs.head1992.observations import Detections, Read
+from aridcal.jobs.head1992.observations import CampaignRows, Detections
 from aridcal.jobs.head1992.shot_rows import check_pose, head_of, start_anywhere
 from aridcal.jobs.head1992.shots import Shot, board, image_content, load, measure_shots, read_ranges
 from aridcal.jobs.head1992.square import CENTRES
@@ -57,7 +57,7 @@ def read_shots(
     seed: int,
     progress: Progress,
     lens: np.ndarray | None = None,
-) -> Read:
+) -> CampaignRows:
     """Read the shots of a campaign; images only where the cache does not know them, or where fiducials are looked for again.
 
     Args:
@@ -104,7 +104,7 @@ def read_shots(
     images = sum(cache_lines.lines(line) is None for line in fiducials_of)
     camera = settings.camera
     size = camera.width, camera.height
-    return Read(
+    return CampaignRows(
         campaign,
         rows,
         Detections(fiducials, settings.tip_camera.homogeneous, camera.intrinsics, size, images),

@@ -25,7 +25,7 @@ from aridcal.jobs.head1992.square import (
     N_FIDUCIALS,
     ONE_SQUARE,
     SIDE,
-    Layout,
+    FiducialLayout,
 )
 from aridcal.system.errors import AridcalError
 
@@ -86,7 +86,7 @@ class Match:
     pairs: np.ndarray
 
 
-def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
+def match(blobs: Blobs, layout: FiducialLayout, blank: Blank) -> Match:
     """Match blobs to fiducials.
 
     A proposal's score is the number of fiducials that it finds less its contradictions, see ``_contradictions``.
@@ -123,7 +123,7 @@ def match(blobs: Blobs, layout: Layout, blank: Blank) -> Match:
     return best
 
 
-def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout: Layout) -> list[Match]:
+def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout: FiducialLayout) -> list[Match]:
     """Refined proposals of turn and shift, without those that lead to an earlier match or to too few pairs."""
     matches: list[Match] = []
     for turn, shift in proposals:
@@ -137,7 +137,7 @@ def _matches(proposals: Iterable[tuple[complex, complex]], blobs: Blobs, layout:
     return matches
 
 
-def _contradictions(m: Match, blobs: Blobs, layout: Layout, blank: Blank) -> int:
+def _contradictions(m: Match, blobs: Blobs, layout: FiducialLayout, blank: Blank) -> int:
     """Number of contradictions of a match: bare paper where fiducials should be, and more marks on the square than it has."""
     fiducials, matched_blobs = m.pairs.T
     missing = np.setdiff1d(np.arange(len(layout)), fiducials)
@@ -149,7 +149,7 @@ def _contradictions(m: Match, blobs: Blobs, layout: Layout, blank: Blank) -> int
     return int(blank_places.sum() + SPARE_MARK * on_square.sum())
 
 
-def _places(layout: Layout) -> np.ndarray:
+def _places(layout: FiducialLayout) -> np.ndarray:
     """Return the centres of fiducials on the square's plane, shape (M,)."""
     return layout.centres[:, :2] @ [1, 1j]
 
@@ -215,7 +215,7 @@ def _first_of_each(turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
     return np.sort(first)
 
 
-def _refined(turn: complex, shift: complex, blobs: Blobs, layout: Layout) -> Match | None:
+def _refined(turn: complex, shift: complex, blobs: Blobs, layout: FiducialLayout) -> Match | None:
     """Match a proposal and refine it; None if another square would be nearer the optical axis, or too little is matched.
 
     The own square alone is matched first, by a rough turn; then all in view, twice, by the turn that this gives.
@@ -249,7 +249,7 @@ def _nearest_the_axis(turn: complex, shift: complex, middles: np.ndarray, lead: 
     return not np.any(np.abs(axis - others) < np.abs(axis) + lead)
 
 
-def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, tolerance: float) -> np.ndarray:
+def _pairs(turn: complex, shift: complex, layout: FiducialLayout, blobs: Blobs, tolerance: float) -> np.ndarray:
     """Pair fiducials and blobs of the same kind that are each other's nearest, shape (K, 2)."""
     if len(blobs.places) == 0:
         return np.zeros((0, 2), dtype=int)
@@ -264,7 +264,7 @@ def _pairs(turn: complex, shift: complex, layout: Layout, blobs: Blobs, toleranc
     return np.column_stack([matched, nearest[matched]])
 
 
-def _alike(turn: complex, layout: Layout, blobs: Blobs) -> np.ndarray:
+def _alike(turn: complex, layout: FiducialLayout, blobs: Blobs) -> np.ndarray:
     """Tell which blobs are of which fiducials' kind, centre fiducials not slanted, shape (M, B)."""
     upright = turn * (layout.axes[:, 1, :2] @ [1, 1j])
     along = np.exp(1j * blobs.angles)

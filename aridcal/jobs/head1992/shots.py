@@ -88,7 +88,7 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Measured:
+class ShotResult:
     """The result of a shot: a pose, or the reason why there is none.
 
     Attributes:
@@ -285,7 +285,7 @@ def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.nd
     return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
 
 
-def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Measured:
+def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarray]) -> ShotResult:
     """Measure one shot, or say why it cannot be."""
     image = None
     try:
@@ -294,9 +294,9 @@ def measure_shot(shot: Shot, head: HeadSettings, squares: Mapping[int, np.ndarra
         square, sighting = _identified(shot, image, sonars, head, squares)
     except NotMeasured as refusal:
         thumbnail = b"" if image is None else picture(image, None, None, THUMBNAIL)
-        return Measured(shot, why=str(refusal), thumbnail=thumbnail)
+        return ShotResult(shot, why=str(refusal), thumbnail=thumbnail)
     T_world_tip, covariance = tip_pose(sighting, squares[square], head.tip_camera.homogeneous)
-    return Measured(
+    return ShotResult(
         shot,
         square=square,
         T_world_tip=T_world_tip,
@@ -375,14 +375,14 @@ def picture(image: np.ndarray, fiducials: Fiducials | None, own: int | None, wid
     return bytes(content)
 
 
-def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Iterator[Measured]:
+def measure_shots(shots: Sequence[Shot], head: HeadSettings, squares: Mapping[int, np.ndarray]) -> Iterator[ShotResult]:
     """Measure shots one after the other, over all processors if there are many."""
     with _mapping(len(shots)) as apply:
         yield from apply(partial(measure_shot, head=head, squares=squares), list(shots))
 
 
 @contextmanager
-def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], Measured], list[Shot]], Iterator[Measured]]]:
+def _mapping(n: int) -> Iterator[Callable[[Callable[[Shot], ShotResult], list[Shot]], Iterator[ShotResult]]]:
     """Give ``map``, over all processors if there is enough to do."""
     if n < PARALLEL_FROM:
         yield map

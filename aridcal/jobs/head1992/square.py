@@ -84,7 +84,7 @@ def strip_placements(n: int = STRIP_SQUARES) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Layout:
+class FiducialLayout:
     """The fiducials that may be in view around one square, in that square's frame.
 
     Attributes:
@@ -105,9 +105,9 @@ class Layout:
         """Count the fiducials."""
         return len(self.square)
 
-    def __getitem__(self, which: np.ndarray) -> Layout:
+    def __getitem__(self, which: np.ndarray) -> FiducialLayout:
         """Select fiducials."""
-        return Layout(*(getattr(self, f.name)[which] for f in fields(self)))
+        return FiducialLayout(*(getattr(self, f.name)[which] for f in fields(self)))
 
     @property
     def corners(self) -> np.ndarray:
@@ -125,7 +125,7 @@ class Layout:
 REACH = 2.5 * SIDE
 
 
-def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH) -> Layout:
+def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH) -> FiducialLayout:
     """Collect the fiducials of a square, first, and of those whose centres lie within reach of its centre.
 
     Args:
@@ -145,7 +145,7 @@ def layout(squares: Mapping[int, np.ndarray], square: int, reach: float = REACH)
     centres = origins[:, None] + np.einsum("sij,fj->sfi", xy_axes, CENTRES)
     axes = np.swapaxes(xy_axes, 1, 2)
     numbers = np.arange(1, N_FIDUCIALS + 1)
-    return Layout(
+    return FiducialLayout(
         square=np.repeat(names, N_FIDUCIALS),
         fiducial=np.tile(numbers, len(names)),
         centres=centres.reshape(-1, 3),

@@ -44,7 +44,7 @@ EFFECT_RANK_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
-class Cause:
+class NamedChange:
     """Something that changed.
 
     Attributes:
@@ -79,7 +79,7 @@ class Causes:
         rest: Chance of what the causes leave, where nothing else changed.
     """
 
-    found: tuple[Cause, ...]
+    found: tuple[NamedChange, ...]
     rest: float
 
 
@@ -226,7 +226,7 @@ def _cause(
     tests: int,
     alike: tuple[str, ...],
     moved: Mapping[str, float],
-) -> Cause:
+) -> NamedChange:
     """The k-th of several chosen changes, fitted beside the others."""
     candidate = chosen[k]
     others = [c for c in chosen if c is not candidate]
@@ -241,7 +241,7 @@ def _cause(
     z = z + X @ before  # what was moved already, is a change, too
     gain = _gain(candidate, others, z)
     before_values = [0.0 if np.isnan(column.values[0]) else column.values[0] for column in columns]
-    return Cause(
+    return NamedChange(
         words=candidate.words,
         names=tuple(column.coefficient.name for column in columns),
         units=tuple(column.unit for column in columns),

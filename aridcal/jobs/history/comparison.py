@@ -11,7 +11,7 @@ import numpy as np
 from aridcal import __version__
 from aridcal.engine.robot.chain import Robot
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.jobs.history.changes import Cause, Causes, causes, untold_zeros
+from aridcal.jobs.history.changes import Causes, NamedChange, causes, untold_zeros
 from aridcal.jobs.history.difference import Difference, difference
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.system.wording import enumerated, number, plus_minus, shown_in
@@ -159,7 +159,7 @@ def _sizes(d: Difference) -> str:
     return "the targets are apart by " + "; ".join(parts)
 
 
-def _cause(c: Cause) -> str:
+def _cause(c: NamedChange) -> str:
     """A line on one cause."""
     if len(c.names) == 1:
         unit, scale = shown_in(c.units[0])

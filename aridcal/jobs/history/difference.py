@@ -77,7 +77,7 @@ UNKNOWN_NOTICE = (
 
 
 @dataclass(frozen=True)
-class Column:
+class CoefficientColumn:
     """One coefficient in the configurations that are compared.
 
     Attributes:
@@ -114,7 +114,7 @@ class Difference:
         notices: What a reader should know.
     """
 
-    columns: tuple[Column, ...]
+    columns: tuple[CoefficientColumn, ...]
     covariance: np.ndarray
     lacking: np.ndarray
     readings: np.ndarray
@@ -230,13 +230,13 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
 
 def _together(
     both: tuple[SolvedModel, SolvedModel], moves: list[np.ndarray], anew: frozenset[str]
-) -> tuple[tuple[Column, ...], np.ndarray]:
+) -> tuple[tuple[CoefficientColumn, ...], np.ndarray]:
     """The coefficients of two calibrations beside one another, and their covariances, shape (2, K, K).
 
     A coefficient that both have moves the poses alike, but for terms of second order: the mean of both. One that depends on time
     does not, for each calibration has times of its own; there are two of it.
     """
-    columns: list[Column] = []
+    columns: list[CoefficientColumn] = []
     place: dict[str, int] = {}
     columns_of: list[list[int]] = []
     indices_of: list[list[int]] = []
@@ -252,11 +252,15 @@ def _together(
             if name not in place:
                 place[name] = len(columns)
                 columns.append(
-                    Column(c, unit_of(solved.model, k), (value, np.nan) if side == 0 else (np.nan, value), J[:, k])
+                    CoefficientColumn(
+                        c, unit_of(solved.model, k), (value, np.nan) if side == 0 else (np.nan, value), J[:, k]
+                    )
                 )
             else:
                 first = columns[place[name]]
-                columns[place[name]] = Column(c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k]))
+                columns[place[name]] = CoefficientColumn(
+                    c, first.unit, (first.values[0], value), 0.5 * (first.moves + J[:, k])
+                )
             columns_of[side].append(place[name])
             indices_of[side].append(k)
     covariances = np.zeros((2, len(columns), len(columns)))
@@ -267,7 +271,7 @@ def _together(
 
 def _unknown_to(
     saved: SavedModel,
-    columns: tuple[Column, ...],
+    columns: tuple[CoefficientColumn, ...],
     moves: np.ndarray,
     present: np.ndarray,
     fitted: np.ndarray,

@@ -28,7 +28,16 @@ import pandas as pd
 from scipy.stats import chi2
 
 from aridcal.jobs.history.store import Runs
-from aridcal.jobs.history.trend import FEWEST_RUNS, Change, Cycle, Evidence, Series, dated, evidence, with_cycle
+from aridcal.jobs.history.trend import (
+    FEWEST_RUNS,
+    ChangeEvidence,
+    Cycle,
+    Series,
+    SeriesChange,
+    dated,
+    evidence,
+    with_cycle,
+)
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.system.errors import AridcalError, nearest
 from aridcal.system.wording import number
@@ -69,10 +78,10 @@ class ConstantHistory:
     name: str
     unit: str
     series: Series
-    shows: Evidence
+    shows: ChangeEvidence
     p_value: float
     p_any: float
-    change: Change | None
+    change: SeriesChange | None
 
     @property
     def alarm(self) -> bool:

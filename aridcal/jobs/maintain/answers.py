@@ -12,7 +12,7 @@ from aridcal.jobs.calibrate.outcome import said
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
 from aridcal.jobs.maintain.checking import Cause, CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Change
+from aridcal.jobs.maintain.repair import RepairChange
 from aridcal.system.wording import enumerated
 
 LARGEST_ZERO_CHANGE = 0.03
@@ -23,7 +23,7 @@ MILLI = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
 
-def check_lines(checked: CheckResult, changes: Sequence[Change], settings: MeasurementSettings) -> list[str]:
+def check_lines(checked: CheckResult, changes: Sequence[RepairChange], settings: MeasurementSettings) -> list[str]:
     """The answer of `aridcal check`, the verdict first; before it temperatures that the calibration did not see.
 
     Args:
@@ -107,7 +107,9 @@ def _verdict(checked: CheckResult) -> str:
     return f"still good: the error {certainty} within {limit} ({chance})"
 
 
-def _cause_lines(checked: CheckResult, cause: Cause, change: Change | None, settings: MeasurementSettings) -> list[str]:
+def _cause_lines(
+    checked: CheckResult, cause: Cause, change: RepairChange | None, settings: MeasurementSettings
+) -> list[str]:
     """One cause: what, by how much, how sure, and what would tell it from another."""
     probability = f" (probability {_percent(cause.probability)})"
     if change is None:
@@ -135,7 +137,7 @@ def _cause_lines(checked: CheckResult, cause: Cause, change: Change | None, sett
     return lines
 
 
-def amount(change: Change, checked: CheckResult) -> str:
+def amount(change: RepairChange, checked: CheckResult) -> str:
     """By how much something moved."""
     value, std = change.value, change.std
     if change.cause.kind == "zero":

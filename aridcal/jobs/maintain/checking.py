@@ -12,14 +12,14 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.coverage import ASIDE, EXPANSION, beyond_heat
-from aridcal.engine.trust.wander import Wandering, wandering
+from aridcal.engine.trust.wander import WanderProcesses, wandering
 from aridcal.files.campaign import Frames
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.maintain.ambiguity import Telling, alike, telling
+from aridcal.jobs.maintain.ambiguity import DecidingConfiguration, alike, telling
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis, suspects, widened
-from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, Question, alarm, evidence, likely, taken_up
-from aridcal.jobs.maintain.new_rows import Noise, freedom_of, known_noise
+from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, NewRowsQuestion, alarm, evidence, likely, taken_up
+from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, known_noise
 from aridcal.jobs.maintain.unknowns import WideModel, wide_of
 from aridcal.system.errors import MeasurementError
 
@@ -55,7 +55,7 @@ class Cause:
     suspect: Hypothesis | None = None
     size: float = 0.0
     alike: tuple[str, ...] = ()
-    telling: tuple[Telling, ...] = ()
+    telling: tuple[DecidingConfiguration, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -100,12 +100,12 @@ class CheckResult:
 
     rows: Dataset
     wide: SolvedModel
-    noise: Noise
+    noise: NewRowNoise
     residual: np.ndarray
     first: Alarm
     causes: tuple[Cause, ...]
     rest: Alarm
-    question: Question
+    question: NewRowsQuestion
     error: Bounds | None
     tolerance: float | None
     unknowns: WideModel
@@ -133,10 +133,10 @@ class CheckResult:
 def asked(
     wide: SolvedModel,
     rows: Dataset,
-    noise: Noise,
+    noise: NewRowNoise,
     unknown: np.ndarray | None = None,
-    wandering: Wandering | None = None,
-) -> Question:
+    wandering: WanderProcesses | None = None,
+) -> NewRowsQuestion:
     """New rows as a question to a wide model; those that are held out do not count.
 
     Args:
@@ -149,7 +149,7 @@ def asked(
     scale, tails = noise.core
     held_out = rows.test if rows.origin.split_given else np.zeros(len(rows), dtype=bool)
     numbers = np.array([channel.size for channel in rows.channels])
-    return Question(
+    return NewRowsQuestion(
         problem=problem(wide.model, rows),
         theta=wide.theta,
         covariance=wide.covariance,
@@ -233,7 +233,7 @@ def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
     return max(outside, key=lambda heat: heat.beyond, default=None)
 
 
-def with_unknowns(question: Question) -> np.ndarray:
+def with_unknowns(question: NewRowsQuestion) -> np.ndarray:
     """Coefficients (K,) of the calibration as it is, with what only the new rows tell fitted to them."""
     if not question.unknown.any():
         return question.theta
@@ -242,7 +242,7 @@ def with_unknowns(question: Question) -> np.ndarray:
 
 
 def seen_by(
-    question: Question, suspects_asked: Sequence[Hypothesis]
+    question: NewRowsQuestion, suspects_asked: Sequence[Hypothesis]
 ) -> tuple[tuple[Hypothesis, ...], tuple[Hypothesis, ...]]:
     """Suspects that rows can show, and those that unknowns hide: the base, say, where the points around it are unknown."""
     if not question.unknown.any():
@@ -258,8 +258,12 @@ def seen_by(
 
 
 def _next(
-    saved: SavedModel, unknowns: WideModel, question: Question, suspects_left: Sequence[Hypothesis], rows: Dataset
-) -> tuple[Cause, Question]:
+    saved: SavedModel,
+    unknowns: WideModel,
+    question: NewRowsQuestion,
+    suspects_left: Sequence[Hypothesis],
+    rows: Dataset,
+) -> tuple[Cause, NewRowsQuestion]:
     """The most probable cause of what the rows show, and the question with this cause allowed for."""
     explanations = []
     for suspect in suspects_left:

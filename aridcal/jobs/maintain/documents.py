@@ -18,7 +18,7 @@ from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.outcomes import RepairOutcomes
-from aridcal.jobs.maintain.repair import Repaired
+from aridcal.jobs.maintain.repair import Repair
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import RESULT, read_file
 
@@ -54,7 +54,7 @@ def lineage(saved: SavedModel, calibration: Path, content: bytes, checked: Check
 
 
 def document(
-    outcomes: RepairOutcomes, checked: CheckResult, mended: Repaired, parents: dict[str, Any], before: dict[str, Any]
+    outcomes: RepairOutcomes, checked: CheckResult, mended: Repair, parents: dict[str, Any], before: dict[str, Any]
 ) -> dict[str, Any]:
     """All figures of a repair: those of every calibration, on the new rows, and what moved.
 

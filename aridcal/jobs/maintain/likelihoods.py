@@ -29,7 +29,7 @@ from scipy.stats import f as f_distribution
 
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.tails import log_density, weights
-from aridcal.engine.trust.wander import Wandering, zero_of
+from aridcal.engine.trust.wander import WanderProcesses, zero_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis
 from aridcal.jobs.maintain.realign import frame_start
 
@@ -64,7 +64,7 @@ LEAST_SINGULAR_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
-class Question:
+class NewRowsQuestion:
     """New rows asked about a calibration.
 
     Attributes:
@@ -91,7 +91,7 @@ class Question:
     begin: np.ndarray
     unknown: np.ndarray
     tails: np.ndarray
-    wandering: Wandering | None = None
+    wandering: WanderProcesses | None = None
 
     @property
     def counted(self) -> np.ndarray:
@@ -134,7 +134,7 @@ class Question:
             covariance += Z[:, None] * variance[np.ix_(row, row)] * Z
         return covariance
 
-    def with_moved(self, suspect: Hypothesis, size: float) -> Question:
+    def with_moved(self, suspect: Hypothesis, size: float) -> NewRowsQuestion:
         """The question with a suspect free to change, by a prior of this size."""
         D, begin = suspect.directions, self.begin
         covariance = self.covariance + size**2 * D @ D.T
@@ -210,7 +210,7 @@ def scaled_to(values: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return np.asarray((values.T / sigma).T)
 
 
-def likely(question: Question, theta: np.ndarray | None = None) -> PosteriorMode:
+def likely(question: NewRowsQuestion, theta: np.ndarray | None = None) -> PosteriorMode:
     r"""The most likely coefficients, by Gauss-Newton steps in the space of the rows.
 
     .. math:: \theta = \theta_0 + \Sigma J^T (k^2 I + J \Sigma J^T)^{-1} (r + J (\theta - \theta_0))
@@ -266,7 +266,7 @@ def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np
     return np.asarray(np.where(np.isfinite(tails), each, 0.0).sum(axis=1))
 
 
-def covariance_of(question: Question, place: PosteriorMode) -> np.ndarray:
+def covariance_of(question: NewRowsQuestion, place: PosteriorMode) -> np.ndarray:
     """Covariance of the most likely coefficients, shape (K, K); Joseph's form, which rounding cannot make negative."""
     P = question.covariance
     S = question.times**2 * np.eye(len(place.r)) + place.known
@@ -304,7 +304,7 @@ class Alarm:
         return self.squares / self.numbers
 
 
-def alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
+def alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     r"""Test the residual as a whole, and along what each suspect would do to it.
 
     The whole: :math:`r^T S_0^{-1} r \sim \chi^2_n`. Along a suspect: the squares that its d directions take up,
@@ -326,7 +326,7 @@ def alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
     return replace(of_mean, p_value=float(sum(p * value for p, value in per_process) / sum(p for p, _ in per_process)))
 
 
-def _alarm(question: Question, suspects: Sequence[Hypothesis]) -> Alarm:
+def _alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     """The test with the mean covariance of what rows share."""
     place = likely(question)
     z = place.whitened(place.r, question.times)
@@ -363,7 +363,7 @@ def _squares_along(B: np.ndarray, z: np.ndarray) -> tuple[float, int]:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class LogDensities:
     """Logarithms of the density of the rows for each size s and each noise k.
 
     Attributes:
@@ -383,7 +383,7 @@ class Evidence:
         return int(np.argmax(logsumexp(self.density + LOG_WEIGHTS, axis=1)))
 
 
-def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> Evidence:
+def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[float, ...]) -> LogDensities:
     """Density of the rows after a change along columns B, for each of its sizes and each noise.
 
     Args:
@@ -405,4 +405,4 @@ def evidence(place: PosteriorMode, times: float, B: np.ndarray, sizes: tuple[flo
             grown = (size * w) ** 2
             squares = float(z @ z) - float(np.sum(along * grown / (1.0 + grown)))
             density[k, number] = constant - 0.5 * squares - 0.5 * float(np.sum(np.log1p(grown))) + place.beyond[number]
-    return Evidence(density)
+    return LogDensities(density)

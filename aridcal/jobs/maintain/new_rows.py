@@ -68,7 +68,7 @@ class NewRows:
 
 
 @dataclass(frozen=True)
-class Noise:
+class NewRowNoise:
     """Noise of the rows, as declared or as the calibration's own rows scattered.
 
     Attributes:
@@ -89,7 +89,7 @@ class Noise:
         return np.array(scale), np.array([np.inf if t is None else t.freedom for t in tails])
 
 
-def freedom_of(noise: Noise, counts: np.ndarray) -> float:
+def freedom_of(noise: NewRowNoise, counts: np.ndarray) -> float:
     r"""Degrees of freedom of a mean square over all channels: :math:`n^2 / \sum_c n_c^2 / \nu_c` (Satterthwaite 1946).
 
     Args:
@@ -252,7 +252,7 @@ def _plain(rows: Dataset) -> Dataset:
     return rows
 
 
-def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> Noise:
+def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> NewRowNoise:
     """Noise of new rows: what they or their own campaign state, else what the calibration's rows of that kind scattered by.
 
     Args:
@@ -279,7 +279,7 @@ def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) 
             )
         noises.append(entry or (1.0, np.inf, None))
     sigma, freedom, tails = zip(*noises, strict=True)
-    return Noise(np.maximum(sigma, LEAST_SIGMA), np.array(freedom), tails)
+    return NewRowNoise(np.maximum(sigma, LEAST_SIGMA), np.array(freedom), tails)
 
 
 def _channels_of(kind: str) -> Channels:

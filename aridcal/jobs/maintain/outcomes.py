@@ -24,7 +24,7 @@ from aridcal.engine.rows.row_facts import Labels
 from aridcal.engine.search.residual_trends import Order, Traces
 from aridcal.engine.trust.uncertainty import precision
 from aridcal.files.campaign import Campaign
-from aridcal.files.things import Known, Rows, instruments_of, with_trackers
+from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, with_trackers
 from aridcal.jobs.calibrate.outcome import Outcome, Stage
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.calibrate.verdict import Verdict
@@ -32,7 +32,7 @@ from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.checking import CheckResult, asked, with_unknowns
 from aridcal.jobs.maintain.hypotheses import widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
-from aridcal.jobs.maintain.repair import Repaired
+from aridcal.jobs.maintain.repair import Repair
 from aridcal.jobs.maintain.repair_error import left_out
 from aridcal.jobs.maintain.unknowns import wide_of
 from aridcal.system.errors import CampaignError
@@ -56,7 +56,7 @@ class RepairOutcomes:
     left_out: np.ndarray
 
 
-def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repaired) -> RepairOutcomes:
+def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repair) -> RepairOutcomes:
     """Residuals of a repaired calibration at the new rows, and at its own predictions.
 
     Args:
@@ -169,14 +169,14 @@ def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
     refers = with_trackers(rows.labels.refers, blocks, rows.labels.block, rows.names)
-    known = Known(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
+    known = InstrumentDeclarations(saved.campaign.instruments, {}, {}, saved.campaign.path.name)
     both = saved.frames_by == "both"
     target = rows.labels.target if both else rows.labels.station
     ends = [None] * n if target is None else [model.target_on.get(label) for label in target.tolist()]
     return replace(
         rows,
         blocks=blocks,
-        instruments=instruments_of(known, [Rows(kind, refers)], rows.names, False)[0],
+        instruments=instruments_of(known, [ThingReferences(kind, refers)], rows.names, False)[0],
         labels=Labels(
             block=rows.labels.block,
             refers=refers,

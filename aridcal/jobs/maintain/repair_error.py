@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.likelihoods import Question, likely
+from aridcal.jobs.maintain.likelihoods import NewRowsQuestion, likely
 
 FOLDS = 20
 """Parts of the rows that are left out in turn: single rows up to 20 of them; more parts only take longer."""
@@ -36,7 +36,7 @@ def left_out(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     return residual
 
 
-def _alone(question: Question, others: Question, theta: np.ndarray) -> bool:
+def _alone(question: NewRowsQuestion, others: NewRowsQuestion, theta: np.ndarray) -> bool:
     """True where an unknown is measured by the rows that were left out, and by no other."""
     unknown = question.unknown
     pull_all, pull_others = (np.abs(q.at(theta)[1][:, unknown]).max(axis=0, initial=0.0) for q in (question, others))

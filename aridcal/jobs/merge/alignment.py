@@ -60,7 +60,7 @@ LEAST_JUMP = 0.02
 
 
 @dataclass(frozen=True)
-class Placed:
+class TrackerAlignment:
     """The robot and its target as the tracker sees them, nominal: x = R_w (p + R l) + t_w."""
 
     turn: np.ndarray
@@ -88,7 +88,7 @@ class Moves:
     weight: np.ndarray
 
 
-def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarray]:
+def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[TrackerAlignment, np.ndarray]:
     """Frames that bring the nominal robot's targets to the measured ones.
 
     Args:
@@ -111,12 +111,12 @@ def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[Placed, np.ndarr
     return frames, residual
 
 
-def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> Placed:
+def _best_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> TrackerAlignment:
     """Frames in closed form: of several starts the one that leaves least."""
     R, p = tip_frames(robot, q)
     one_frame = np.zeros(len(m), dtype=int)
     candidates = [
-        Placed(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
+        TrackerAlignment(start.world_base[0].rotation, start.world_base[0].translation, start.tip_target[0].translation)
         for start in start_frames(PoseRows(R, p, None, m, one_frame, one_frame), None, None, (pin.SE3.Identity(),))
     ]
     return min(candidates, key=lambda frames: float(np.median(np.linalg.norm(m - frames.target(robot, q), axis=1))))

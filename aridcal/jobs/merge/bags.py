@@ -20,7 +20,7 @@ from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import IMAGES, INFO, BagCamera, CameraInfo, Take, belongs, frame_of, info_of
 from aridcal.jobs.merge.log import Log, in_order
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.prepare.guesses import Asker
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.system.errors import MeasurementError, listed, printable
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
     return JointLog(log, (units,))
 
 
-def tracker_log(path: Path, links: frozenset[str], asker: Asker) -> TrackerLog | BagCamera:
+def tracker_log(path: Path, links: frozenset[str], asker: Chooser) -> TrackerLog | BagCamera:
     """The tracker's log of a bag: of the topic, or the frame of /tf, that moves and is no link of the robot; or images.
 
     Args:

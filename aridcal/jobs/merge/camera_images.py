@@ -19,7 +19,7 @@ from aridcal.jobs.boards.camera_frames import thumbnail
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, Load
 from aridcal.jobs.merge.log_files import JointLog
-from aridcal.jobs.merge.merging import TIME, Unpaired
+from aridcal.jobs.merge.merging import TIME, UnpairedStandstill
 from aridcal.jobs.merge.standstills import Standstills, span_of, standstills
 from aridcal.system.errors import MeasurementError, printable
 
@@ -52,7 +52,7 @@ class ImageRows:
     table: pd.DataFrame
     frames: np.ndarray
     size: tuple[int, int]
-    unpaired: tuple[Unpaired, ...]
+    unpaired: tuple[UnpairedStandstill, ...]
     notices: tuple[str, ...]
 
 
@@ -92,7 +92,7 @@ def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> I
     readings = [_mean(log.time, q, still, margin, k) for k in rows]
     table = pd.DataFrame(np.array(readings), columns=list(robot.readings)).assign(**{TIME: middle[rows]})
     unpaired = tuple(
-        Unpaired(log.title, float(still.begin[k]), float(still.end[k]), reasons[k]) for k in sorted(reasons)
+        UnpairedStandstill(log.title, float(still.begin[k]), float(still.end[k]), reasons[k]) for k in sorted(reasons)
     )
     clock = "times of arrival" if camera.by_arrival else "stamps"
     remark = (

@@ -11,11 +11,11 @@ from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.files.quantities import TURNS
 from aridcal.files.tables import AnyTable, Table, path_of, read_tables
 from aridcal.jobs.merge.log import Log, in_order
-from aridcal.jobs.merge.others import Others, others_of
+from aridcal.jobs.merge.others import OtherColumns, others_of
 from aridcal.jobs.prepare.column_names import match_joints, named, positions, unit
 from aridcal.jobs.prepare.condition_columns import COVARIATES, EPOCH
 from aridcal.jobs.prepare.dialects import dialects_of
-from aridcal.jobs.prepare.guesses import Asker
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.orientation_columns import sensible
 from aridcal.system.errors import MeasurementError, listed
 
@@ -38,7 +38,7 @@ class TrackerLog:
 
     log: Log
     places: tuple[tuple[str, ...], ...]
-    others: Others | None = None
+    others: OtherColumns | None = None
 
 
 @dataclass(frozen=True)
@@ -53,14 +53,14 @@ class JointLog:
 
     log: Log
     units: tuple[tuple[str, ...], ...]
-    others: Others | None = None
+    others: OtherColumns | None = None
 
     def readings(self, units: tuple[str, ...]) -> np.ndarray:
         """Readings in SI, shape (N, columns)."""
         return np.asarray(self.log.values * [{**ANGLES, **LENGTHS}[word] for word in units])
 
 
-def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str | None]:
+def read_table(source: AnyTable, asker: Chooser, which: str) -> tuple[Table, str | None]:
     """A log's table, and the column that its dates became, if it has any.
 
     Raises:
@@ -78,7 +78,7 @@ def read_table(source: AnyTable, asker: Asker, which: str) -> tuple[Table, str |
     return table, dates.name if dates is not None else None
 
 
-def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
+def joint_log(source: AnyTable, robot: Robot, asker: Chooser) -> JointLog:
     """The joints' log of a table.
 
     Raises:
@@ -106,7 +106,7 @@ def joint_log(source: AnyTable, robot: Robot, asker: Asker) -> JointLog:
     )
 
 
-def tracker_log(source: AnyTable, robot: Robot, asker: Asker) -> TrackerLog:
+def tracker_log(source: AnyTable, robot: Robot, asker: Chooser) -> TrackerLog:
     """The tracker's log of a table.
 
     Raises:
@@ -152,7 +152,7 @@ def _units(log: Log, columns: list[str], robot: Robot) -> tuple[tuple[str, ...],
     )
 
 
-def _clock(table: Table, dates: str | None, asker: Asker, which: str) -> tuple[str, np.ndarray]:
+def _clock(table: Table, dates: str | None, asker: Chooser, which: str) -> tuple[str, np.ndarray]:
     """The clock's column, and its times, shape (N,), [s].
 
     Raises:

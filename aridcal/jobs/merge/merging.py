@@ -24,7 +24,7 @@ from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.jobs.merge.written_as import TrackerRows, in_si, tracked
 from aridcal.jobs.prepare.condition_columns import SAMPLES
-from aridcal.jobs.prepare.guesses import Asker
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.propose import STRANGE_SHARE
 from aridcal.system.errors import MeasurementError
 
@@ -42,7 +42,7 @@ TIME = "time"
 
 
 @dataclass(frozen=True)
-class Unpaired:
+class UnpairedStandstill:
     """A standstill that makes no row.
 
     Attributes:
@@ -94,11 +94,11 @@ class MergeResult:
     found: Pairs
     averages: Averages
     off: np.ndarray
-    unpaired: tuple[Unpaired, ...]
+    unpaired: tuple[UnpairedStandstill, ...]
     notices: tuple[str, ...]
 
 
-def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -> MergeResult:
+def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser) -> MergeResult:
     """Join two logs.
 
     Args:
@@ -142,7 +142,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Asker) -
     windows_of_both = pairs(clocks, joints.log, still, si.log, tracker_still)
     paired, at_rest = settled(windows_of_both, si.log, si.position)
     creeping = [
-        Unpaired(si.log.title, float(a), float(b), "the target never settles: wait longer at each pose")
+        UnpairedStandstill(si.log.title, float(a), float(b), "the target never settles: wait longer at each pose")
         for a, b in zip(windows_of_both.begin[~at_rest], windows_of_both.end[~at_rest], strict=True)
     ]
     paired = paired.some(np.flatnonzero(at_rest))
@@ -255,7 +255,7 @@ def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> 
 
 def _unpaired(
     clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills, paired: Pairs
-) -> list[Unpaired]:
+) -> list[UnpairedStandstill]:
     """Standstills of one log without a partner in the other, each with the reason."""
     unpaired = []
     for k in sorted(set(range(len(still))) - set(paired.joints.tolist())):
@@ -269,7 +269,7 @@ def _unpaired(
             why = "the tracker's target moves"
         else:
             why = "both stand together for too short a time"
-        unpaired.append(Unpaired(joints.title, float(still.begin[k]), float(still.end[k]), why))
+        unpaired.append(UnpairedStandstill(joints.title, float(still.begin[k]), float(still.end[k]), why))
     for k in sorted(set(range(len(tracker_still))) - set(paired.tracker.tolist())):
         a, b = (float(clocks.joints(np.array([t]))[0]) for t in (tracker_still.begin[k], tracker_still.end[k]))
         if b < joints.time[0] or a > joints.time[-1]:
@@ -278,5 +278,7 @@ def _unpaired(
             why = "the joints move, or have no samples"
         else:
             why = "both stand together for too short a time"
-        unpaired.append(Unpaired(tracker.title, float(tracker_still.begin[k]), float(tracker_still.end[k]), why))
+        unpaired.append(
+            UnpairedStandstill(tracker.title, float(tracker_still.begin[k]), float(tracker_still.end[k]), why)
+        )
     return unpaired

@@ -39,7 +39,7 @@ SAME_OFFSET = 1.5
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedCandidate:
     """A candidate, how near the nominal robot comes at the standstills that it pairs, and for how long it is contradicted."""
 
     candidate: Candidate
@@ -50,7 +50,7 @@ class Judged:
 
 def best_offset(
     robot: Robot, joints: JointLog, tracker: Log, raw: np.ndarray, tracker_still: Standstills, still: Standstills
-) -> tuple[Judged, tuple[str, ...]]:
+) -> tuple[JudgedCandidate, tuple[str, ...]]:
     """The offset at which speeds are alike and the standstills fit the nominal robot.
 
     Raises:
@@ -60,7 +60,7 @@ def best_offset(
     for units in joints.units:
         tips = tip_frames(robot, joints.readings(units))[1]
         candidates_and_units += [(one, units) for one in candidates(joints.log, tips, tracker, raw)]
-    fits: list[tuple[Judged, tuple[str, ...]]] = []
+    fits: list[tuple[JudgedCandidate, tuple[str, ...]]] = []
     most_pairs = 0
     for candidate, units in candidates_and_units:
         windows_of_both = pairs(candidate.clocks, joints.log, still, tracker, tracker_still, 1.0)
@@ -75,7 +75,7 @@ def best_offset(
         ways = readings(Sample(q, turning, m, np.zeros(len(q))), robot)
         if ways:
             contrary = contradicted(clocks, joints.log, still, tracker, tracker_still)
-            fits.append((Judged(candidate, windows_of_both, ways[0].share, contrary), units))
+            fits.append((JudgedCandidate(candidate, windows_of_both, ways[0].share, contrary), units))
     if not fits:
         if not candidates_and_units:
             raise MeasurementError(

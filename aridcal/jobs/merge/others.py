@@ -24,7 +24,7 @@ from aridcal.system.errors import listed
 
 
 @dataclass(frozen=True)
-class Others:
+class OtherColumns:
     """Further columns of a log, in the order of its time.
 
     Attributes:
@@ -40,7 +40,7 @@ class Others:
     labels: Mapping[str, np.ndarray]
 
 
-def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: int) -> Others:
+def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: int) -> OtherColumns:
     """Columns of a table that are neither its clock, nor joints, nor any position or orientation.
 
     Args:
@@ -69,7 +69,7 @@ def others_of(table: Table, seconds: np.ndarray, used: Collection[str], joints: 
                 numbers[name] = values[order]
         elif is_text.any():
             labels[name] = table.texts(name)[order]
-    return Others(table.title, seconds[order], numbers, labels)
+    return OtherColumns(table.title, seconds[order], numbers, labels)
 
 
 def _counts(values: np.ndarray) -> bool:
@@ -79,7 +79,7 @@ def _counts(values: np.ndarray) -> bool:
 
 
 def carried(
-    logs: Mapping[str, tuple[Others | None, np.ndarray, np.ndarray]], own_columns: Collection[str]
+    logs: Mapping[str, tuple[OtherColumns | None, np.ndarray, np.ndarray]], own_columns: Collection[str]
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
     """One value of each further column for each of K windows: the mean of numbers, or the only label.
 

@@ -15,7 +15,7 @@ from aridcal.files.quantities import POSITION
 from aridcal.files.tables import read_tables
 from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.pairs import resolution
-from aridcal.jobs.prepare.guesses import Asker
+from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.propose import STRANGE_SHARE, propose
 from aridcal.system.errors import AridcalError, MeasurementError
 
@@ -44,7 +44,7 @@ class TrackerRows:
     words: tuple[str, ...]
 
 
-def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Asker) -> TrackerRows:
+def tracked(robot: Robot, q: np.ndarray, tracker: Log, rows: np.ndarray, asker: Chooser) -> TrackerRows:
     """Find units and orientation.
 
     Args:

@@ -25,7 +25,7 @@ from aridcal.engine.search.loop import fit_arm, fit_constants, surroundings
 from aridcal.files.campaign import Campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements, with_routes
-from aridcal.files.things import Known, Rows, instruments_of, known_of, with_trackers
+from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, known_of, with_trackers
 from aridcal.jobs.plan.clearance import ARM_HALF_THICKNESS
 from aridcal.jobs.plan.mounting import mounting_side, stands_above
 from aridcal.system.errors import CampaignError, MeasurementError, listed
@@ -269,7 +269,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
         blocks = (Block(settings.title, settings.kind, channels, tuple(sigma.tolist())),)
         refers = with_trackers(refers, blocks, rows.labels.block, robot.readings)
         instruments = _with_known_places(
-            instruments_of(things, [Rows(kind, refers)], robot.readings, False)[0], campaign
+            instruments_of(things, [ThingReferences(kind, refers)], robot.readings, False)[0], campaign
         )
         rows = replace(
             rows,
@@ -330,7 +330,7 @@ def _targets(campaign: Campaign, robot: Robot) -> list[str]:
     return list(campaign.instruments.targets)
 
 
-def _labels_referred(campaign: Campaign, things: Known) -> np.ndarray:
+def _labels_referred(campaign: Campaign, things: InstrumentDeclarations) -> np.ndarray:
     """Labels of all that rows may refer to, one row for each choice, shape (n, 3)."""
     settings, declared = campaign.measurements, campaign.instruments.declared
     kind = settings.traits

@@ -22,11 +22,11 @@ from scipy.special import logsumexp
 
 from aridcal.engine.corrections.catalogue import KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
-from aridcal.jobs.plan.information import Told, so_far, together, whitened
+from aridcal.jobs.plan.information import CandidateInformation, so_far, together, whitened
 
 BHATTACHARYYA_DIVISOR = 8.0
 """Non-centrality over this in the exponent: Bhattacharyya's bound of the chance to be wrong."""
@@ -108,9 +108,9 @@ class _Side:
 
 def telling_apart(
     setup: PlanSetup,
-    unknowns: Told,
+    unknowns: CandidateInformation,
     effects: Sequence[tuple[str, tuple[Coefficient, ...]]],
-    observed: Observed,
+    observed: ObservedRows,
     candidates_offered: Candidates,
     n: int,
 ) -> tuple[list[int], tuple[Duel, ...]]:
@@ -184,7 +184,7 @@ def duel_lines(duels: Sequence[Duel]) -> list[str]:
     return lines
 
 
-def _members(setup: PlanSetup, observed: Observed, name: str, part: tuple[Coefficient, ...]) -> list[Effect]:
+def _members(setup: PlanSetup, observed: ObservedRows, name: str, part: tuple[Coefficient, ...]) -> list[Effect]:
     """The forms that an effect which is to be told apart may have.
 
     Each candidate of the search at that place, a harmonic of one order for instance; if there is none, the effect as declared.
@@ -195,7 +195,7 @@ def _members(setup: PlanSetup, observed: Observed, name: str, part: tuple[Coeffi
 
 
 def _library(
-    setup: PlanSetup, observed: Observed, effects: Sequence[tuple[str, tuple[Coefficient, ...]]]
+    setup: PlanSetup, observed: ObservedRows, effects: Sequence[tuple[str, tuple[Coefficient, ...]]]
 ) -> list[Effect]:
     """Candidates of the search beside two effects: small ones that hold neither of the two."""
     kinds = [kind for kind in setup.campaign.diagnosis.candidates if KINDS[kind].named and KINDS[kind].key != "at"]

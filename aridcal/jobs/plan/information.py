@@ -25,7 +25,7 @@ move as one body, by six numbers."""
 
 
 @dataclass(frozen=True)
-class Told:
+class CandidateInformation:
     """Information of candidates in D unknowns: those of the things first, then the coefficients that can be identified.
 
     Attributes:
@@ -45,7 +45,7 @@ class Told:
     sizes: np.ndarray
 
 
-def told(setup: PlanSetup, candidates: Candidates, n: int) -> Told:
+def told(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformation:
     """Information of candidates beside what is known.
 
     Args:
@@ -65,12 +65,12 @@ def told(setup: PlanSetup, candidates: Candidates, n: int) -> Told:
     flat = flat[:, asked_about]
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[asked_about]) ** 2)
-    return Told(
+    return CandidateInformation(
         together(rows[:, :, asked_about], candidates), measured + loose, measured, count, kept, sizes[asked_about]
     )
 
 
-def rows_of(setup: PlanSetup, unknowns: Told, candidates: Candidates) -> np.ndarray:
+def rows_of(setup: PlanSetup, unknowns: CandidateInformation, candidates: Candidates) -> np.ndarray:
     """Rows of other candidates in the same unknowns, in sigmas, shape (C, p, D)."""
     return together(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
 
@@ -166,7 +166,11 @@ def in_line(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def target_columns(
-    setup: PlanSetup, unknowns: Told, readings: np.ndarray, pattern: int, parts: Sequence[Sequence[int]] = ()
+    setup: PlanSetup,
+    unknowns: CandidateInformation,
+    readings: np.ndarray,
+    pattern: int,
+    parts: Sequence[Sequence[int]] = (),
 ) -> np.ndarray:
     """How the target, or the campaign's own point on it, moves in some configurations with the unknowns, shape (R, 3, D), [m].
 

@@ -16,10 +16,10 @@ from aridcal.jobs.plan.approaches import Approaches, as_they_come, from_both_sid
 from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends, offers
 from aridcal.jobs.plan.discrimination import Duel, telling_apart
-from aridcal.jobs.plan.information import Told, in_line, rows_of, target_columns, told
-from aridcal.jobs.plan.plan_coverage import Coverage, Sigma, coverage, indices, sigma_of, told_sigma
-from aridcal.jobs.plan.refine import Refined, refined
-from aridcal.jobs.plan.row_exchange import FEW, Choice, Criterion, best_choice, nested, rms_sigma
+from aridcal.jobs.plan.information import CandidateInformation, in_line, rows_of, target_columns, told
+from aridcal.jobs.plan.plan_coverage import PlanCoverage, Sigma, coverage, indices, sigma_of, told_sigma
+from aridcal.jobs.plan.refine import RefinedCandidates, refined
+from aridcal.jobs.plan.row_exchange import FEW, Criterion, RowChoice, best_choice, nested, rms_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.travel import short_order
 from aridcal.jobs.plan.usual_effects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
@@ -35,7 +35,7 @@ RANDOM_CHOICES = 100
 
 
 @dataclass(frozen=True)
-class Asked:
+class PlanRequest:
     """What is asked of a plan.
 
     Attributes:
@@ -88,7 +88,7 @@ class Plan:
     notices: tuple[str, ...]
     kept_out: str
     duels: tuple[Duel, ...]
-    coverage: Coverage
+    coverage: PlanCoverage
 
     @property
     def by_way(self) -> np.ndarray:
@@ -109,7 +109,7 @@ class Plan:
         return next(s for s in self.sigma if s.n == len(self.readings))
 
 
-def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Plan:
+def design(setup: PlanSetup, request: PlanRequest, progress: Progress = SILENT) -> Plan:
     """Choose configurations.
 
     Args:
@@ -143,7 +143,7 @@ def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Pla
         chosen, duels = telling_apart(setup, unknowns, pair, observed, candidates, request.n)
     else:
         chosen = best_choice(choice, request.n, choosing)
-    best = Refined(candidates.some(chosen), choice.rows[chosen])
+    best = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
     if anywhere and not request.apart:
         progress("moving them to better places nearby")
         best = refined(setup, unknowns, choice, best, moving)
@@ -178,7 +178,7 @@ def design(setup: PlanSetup, request: Asked, progress: Progress = SILENT) -> Pla
     )
 
 
-def _of_region(setup: PlanSetup, request: Asked) -> list[str]:
+def _of_region(setup: PlanSetup, request: PlanRequest) -> list[str]:
     """Notices where a plan is for the campaign's own region, or for its own point on the target."""
     region, remarks = setup.campaign.region, []
     if request.region is None and (region.file is not None or region.joints):
@@ -188,7 +188,9 @@ def _of_region(setup: PlanSetup, request: Asked) -> list[str]:
     return remarks
 
 
-def question(setup: PlanSetup, request: Asked, candidates: Candidates, region: np.ndarray) -> tuple[Choice, Told]:
+def question(
+    setup: PlanSetup, request: PlanRequest, candidates: Candidates, region: np.ndarray
+) -> tuple[RowChoice, CandidateInformation]:
     """The choice that a request makes of candidates, and the information of these.
 
     Args:
@@ -206,7 +208,7 @@ def question(setup: PlanSetup, request: Asked, candidates: Candidates, region: n
                 "the data of this kind cannot"
             )
     target = np.concatenate([target_columns(setup, unknowns, region, k, parts) for k in ends(setup)])
-    choice = Choice(
+    choice = RowChoice(
         unknowns.candidates, unknowns.known, target, np.ones(len(target)), unknowns.things, request.criterion
     )
     return choice, unknowns

@@ -44,7 +44,7 @@ WORST_ROUNDS = 6
 
 
 @dataclass(frozen=True)
-class Choice:
+class RowChoice:
     """Candidates to choose from, and the criterion.
 
     Attributes:
@@ -93,17 +93,17 @@ class Choice:
         return float(np.mean(self.weight * np.einsum("rii->r", covariance)))
 
 
-def rms_sigma(choice: Choice, information: np.ndarray) -> float:
+def rms_sigma(choice: RowChoice, information: np.ndarray) -> float:
     """RMS over the region of the target's sigma, all three directions together, [m]."""
     return float(np.sqrt(np.mean(np.einsum("rii->r", choice.variances(information)))))
 
 
-def worst_sigma(choice: Choice, information: np.ndarray) -> float:
+def worst_sigma(choice: RowChoice, information: np.ndarray) -> float:
     """The target's sigma at the worst place in the worst direction, [m]."""
     return float(np.sqrt(np.linalg.eigvalsh(choice.variances(information))[:, -1].max()))
 
 
-def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
+def best_choice(choice: RowChoice, n: int, rng: np.random.Generator, starts: int | None = None) -> list[int]:
     """The best n candidates that exchanges find, each at most once.
 
     Args:
@@ -120,7 +120,7 @@ def best_choice(choice: Choice, n: int, rng: np.random.Generator, starts: int | 
     return min(ends, key=choice.cost)
 
 
-def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
+def greedy(choice: RowChoice, n: int, begin: Sequence[int] = ()) -> list[int]:
     """Candidates added one by one, each the best there is."""
     chosen = list(begin)
     while len(chosen) < n:
@@ -130,7 +130,7 @@ def greedy(choice: Choice, n: int, begin: Sequence[int] = ()) -> list[int]:
     return chosen
 
 
-def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
+def exchanged(choice: RowChoice, chosen: Sequence[int]) -> list[int]:
     """A choice with members exchanged as long as that makes it better."""
     chosen = list(chosen)
     for _ in range(max(FEWEST_PASSES, MOST_QUESTIONS // max(len(chosen), 1))):
@@ -153,7 +153,7 @@ def exchanged(choice: Choice, chosen: Sequence[int]) -> list[int]:
     return chosen
 
 
-def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
+def nested(choice: RowChoice, chosen: Sequence[int], most: int) -> list[int]:
     """Candidates in an order of which every beginning is a good choice of its length.
 
     The choice comes first, its least useful member last, then further candidates.
@@ -171,7 +171,7 @@ def nested(choice: Choice, chosen: Sequence[int], most: int) -> list[int]:
     return greedy(choice, most, removed[::-1])
 
 
-def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
+def _for_the_worst(choice: RowChoice, n: int, rng: np.random.Generator, starts: int) -> list[int]:
     """The choice whose worst place is best known: see the module."""
     mean = replace(choice, criterion="A")
     best = chosen = best_choice(mean, n, rng, starts)
@@ -182,12 +182,14 @@ def _for_the_worst(choice: Choice, n: int, rng: np.random.Generator, starts: int
     return best
 
 
-def _worth(choice: Choice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
+def _worth(choice: RowChoice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """By how much each candidate, added, makes the cost smaller, shape (C,)."""
     return worth_of(choice, choice.rows, covariance, solved, 1.0)
 
 
-def worth_of(choice: Choice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float) -> np.ndarray:
+def worth_of(
+    choice: RowChoice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float
+) -> np.ndarray:
     """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
     if choice.criterion == "D":
         of_instruments = rows[:, :, : choice.solved_for]
@@ -221,21 +223,21 @@ def _beside(in_sigmas: np.ndarray, sign: float) -> np.ndarray:
     return np.asarray((V * np.maximum(1.0 - values, LEAST_PRIOR_SHARE)[..., None, :]) @ np.swapaxes(V, -1, -2))
 
 
-def weights_of_the_worst(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+def weights_of_the_worst(choice: RowChoice, chosen: Sequence[int]) -> np.ndarray:
     """Weights of the places that grow with how badly the target is known there, shape (R,), with mean 1."""
     largest = np.linalg.eigvalsh(choice.variances(choice.information(chosen)))[:, -1]
     weight = choice.weight * largest / largest.mean()
     return np.asarray(weight / weight.mean())
 
 
-def _of_solved(choice: Choice, chosen: Sequence[int]) -> np.ndarray:
+def _of_solved(choice: RowChoice, chosen: Sequence[int]) -> np.ndarray:
     """Inverse of the information of the instruments' unknowns alone, see :attr:`Choice.solved_for`."""
     instruments = slice(0, choice.solved_for)
     return np.linalg.inv(choice.information(chosen)[instruments, instruments])
 
 
 def taken_away(
-    choice: Choice,
+    choice: RowChoice,
     covariance: np.ndarray,
     solved: np.ndarray,
     F: np.ndarray,

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from aridcal.engine.corrections.catalogue import KINDS, candidates, declared
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.covariate_table import look
@@ -99,7 +99,7 @@ def with_usual_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     return replace(setup, notices=(*setup.notices, notice)) if planned else setup
 
 
-def _usual(observed: Observed, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
+def _usual(observed: ObservedRows, kinds: set[str], place: str) -> Iterator[tuple[str, tuple[Coefficient, ...]]]:
     """Kind and coefficients of each suspect."""
     for joint in observed.robot.joints:
         if not joint.drive.factors:
@@ -123,7 +123,7 @@ def _of_gear(name: str) -> Iterator[EffectDeclaration]:
     yield EffectDeclaration(kind="joint_backlash", where=name, by="direction")
 
 
-def _bends(observed: Observed, name: str, kind: str) -> tuple[Coefficient, ...]:
+def _bends(observed: ObservedRows, name: str, kind: str) -> tuple[Coefficient, ...]:
     """Coefficients of a rail's polynomials in all their motions: few, where its whole curve would have a hundred."""
     of_rail = (c for effect in candidates(observed, (kind,)) if effect.where == name for c in effect.coefficients)
     return tuple(dict.fromkeys(c for c in of_rail if c.basis.form == "power"))
@@ -156,6 +156,6 @@ def _declared(
     return declared(observed_by(setup, pool.rows(setup)), declaration, place).coefficients
 
 
-def observed_by(setup: PlanSetup, rows: Dataset) -> Observed:
+def observed_by(setup: PlanSetup, rows: Dataset) -> ObservedRows:
     """Covariates of some rows, from which effects can be made."""
     return look(setup.model.with_coefficients(()), rows)[0]

@@ -14,14 +14,14 @@ import pandas as pd
 import yaml
 
 from aridcal.engine.robot.expand import plain_name, read_urdf
-from aridcal.engine.robot.named import Named, described
+from aridcal.engine.robot.named import RobotDescription, described
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import parse_settings
 from aridcal.jobs.prepare.dialects import best_dialect, dialects_of, say_table
-from aridcal.jobs.prepare.guesses import Asker, Choose, Guess, Proposal
+from aridcal.jobs.prepare.guesses import Choose, Chooser, Guess, Proposal
 from aridcal.jobs.prepare.propose import QUESTIONS, propose
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect
@@ -75,12 +75,12 @@ def draft(
     Raises:
         AridcalError: what in the files needs mending first; or what is to be answered.
     """
-    asker = Asker(choose, settled or {})
+    asker = Chooser(choose, settled or {})
     asker.check(QUESTIONS)
     source = described(urdf, packages or {}, arguments or {})
     content = read_urdf(source.path, URDF, source.packages, source.arguments)
 
-    def proposed(dialect: Dialect, asker: Asker) -> Proposal:
+    def proposed(dialect: Dialect, asker: Chooser) -> Proposal:
         table = read_tables(tables, None, dialect=dialect)
         try:
             return propose(
@@ -106,7 +106,7 @@ def draft(
     return Draft(campaign, proposal, rows)
 
 
-def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable], home: Path) -> str:
+def campaign_text(proposal: Proposal, source: RobotDescription, tables: Sequence[AnyTable], home: Path) -> str:
     """Write a proposal as ``campaign.yaml``, every choice with its reason above it.
 
     Args:
@@ -138,7 +138,7 @@ def campaign_text(proposal: Proposal, source: Named, tables: Sequence[AnyTable],
     return "\n".join(lines) + "\n"
 
 
-def _source(source: Named, home: Path) -> list[str]:
+def _source(source: RobotDescription, home: Path) -> list[str]:
     """The lines that name the robot's description; what lies in a cache is not named by its way from the campaign."""
     shown = str if source.cached else lambda path: _relative(path, home)
     lines = [f"  urdf: {scalar(shown(source.path))}"]

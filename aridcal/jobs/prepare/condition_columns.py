@@ -21,7 +21,7 @@ from aridcal.jobs.prepare.column_names import (
     words,
 )
 from aridcal.jobs.prepare.guesses import Proposal
-from aridcal.jobs.prepare.units_and_angles import Reading
+from aridcal.jobs.prepare.units_and_angles import TableReading
 
 # Quantities known by their names: what they are called in a campaign, their unit, and spellings.
 COVARIATES = (
@@ -132,7 +132,7 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
     return "of another pose or chain" if name in in_families else ""
 
 
-def say_repeats(q: np.ndarray, reading: Reading, proposal: Proposal) -> None:
+def say_repeats(q: np.ndarray, reading: TableReading, proposal: Proposal) -> None:
     """Say how many rows repeat a configuration.
 
     Args:

@@ -11,7 +11,7 @@ import pandas as pd
 from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.sniffing import as_keys, look
 from aridcal.files.tables import AnyTable, check_ending
-from aridcal.jobs.prepare.guesses import Asker, Guess, Proposal, nobody
+from aridcal.jobs.prepare.guesses import Chooser, Guess, Proposal, nobody
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
 from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import AridcalError, MeasurementError
@@ -24,7 +24,7 @@ SAME_FIT_SHARE = 1e-9
 """Two ways that put the targets as near to the robot, to this share, are one: digits in groups or not, metres or mm."""
 
 
-def dialects_of(tables: Sequence[AnyTable], asker: Asker) -> tuple[list[Dialect], str]:
+def dialects_of(tables: Sequence[AnyTable], asker: Chooser) -> tuple[list[Dialect], str]:
     """Dialects in which all of some tables may be, the likeliest first, and the program that wrote them, if they say.
 
     Raises:
@@ -66,7 +66,7 @@ def _with_marks(first: Sequence[Dialect], second: Sequence[Dialect]) -> list[Dia
 
 
 def best_dialect(
-    dialects: Sequence[Dialect], proposed: Callable[[Dialect, Asker], Proposal], asker: Asker
+    dialects: Sequence[Dialect], proposed: Callable[[Dialect, Chooser], Proposal], asker: Chooser
 ) -> tuple[Dialect, str]:
     """The dialect in which the targets move as the robot does, and why.
 
@@ -80,7 +80,7 @@ def best_dialect(
     """
     if len(dialects) == 1:
         return dialects[0], ""
-    alone = Asker(nobody, asker.settled)
+    alone = Chooser(nobody, asker.settled)
     misfits: list[tuple[float, Dialect]] = []
     failure: AridcalError | None = None
     for dialect in dialects:

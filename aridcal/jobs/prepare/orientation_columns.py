@@ -20,9 +20,9 @@ from aridcal.jobs.prepare.column_names import (
     matrices,
     quaternions,
 )
-from aridcal.jobs.prepare.guesses import Asker, Proposal
+from aridcal.jobs.prepare.guesses import Chooser, Proposal
 from aridcal.jobs.prepare.units_and_angles import (
-    Reading,
+    TableReading,
     Writing,
     angle_writings,
     different,
@@ -59,7 +59,13 @@ class _Columns:
 
 
 def say_orientation(
-    table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading, asker: Asker, proposal: Proposal
+    table: Table,
+    used: set[str],
+    place: Family,
+    rows: np.ndarray,
+    reading: TableReading,
+    asker: Chooser,
+    proposal: Proposal,
 ) -> set[str]:
     """Say which columns are the orientation, and how it is written: as the nominal robot agrees with it.
 
@@ -150,7 +156,7 @@ def _refuse_second(table: Table, rows: np.ndarray, first: _Columns, best: Writin
             )
 
 
-def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: Reading) -> list[_Columns]:
+def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, reading: TableReading) -> list[_Columns]:
     """Columns that may be an orientation, those of four numbers first."""
     free = [name for name in table.names if name and name not in used]
     candidates, in_matrices = [], set()

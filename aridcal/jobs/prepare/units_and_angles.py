@@ -70,7 +70,7 @@ class Sample:
 
 
 @dataclass(frozen=True)
-class Reading:
+class TableReading:
     """One way to read joints and positions.
 
     Attributes:
@@ -113,7 +113,7 @@ class Writing:
     angle: str | None = None
 
 
-def readings(sample: Sample, robot: Robot) -> list[Reading]:
+def readings(sample: Sample, robot: Robot) -> list[TableReading]:
     """Every way to read joints and positions that is not off by a power of ten, the best fit first."""
     frames = (None, "world_base", "tip_target") if sample.station.any() else (None,)
     units = _combinations(sample)
@@ -124,7 +124,7 @@ def readings(sample: Sample, robot: Robot) -> list[Reading]:
     return sorted(ways, key=lambda reading: reading.share)
 
 
-def one_slip_away(sample: Sample, robot: Robot, ways: Sequence[Reading]) -> Reading:
+def one_slip_away(sample: Sample, robot: Robot, ways: Sequence[TableReading]) -> TableReading:
     """The best fit of some ways to read the columns, if one joint counts backwards or from another quarter of a turn.
 
     Args:
@@ -173,7 +173,7 @@ def _spread(points: np.ndarray) -> float:
     return float(np.sqrt(np.mean(squared)))
 
 
-def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
+def quaternion_writings(family: Family, values: np.ndarray, reading: TableReading) -> list[Writing]:
     """Writings as quaternions, scalar last, or first as well where columns are numbered; values (N, 4), best fit first."""
     orders = {"quaternion x y z w": (0, 1, 2, 3)}
     if family.numbers:
@@ -189,7 +189,7 @@ def quaternion_writings(family: Family, values: np.ndarray, reading: Reading) ->
     return sorted(writings, key=lambda writing: writing.misfit)
 
 
-def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list[Writing]:
+def angle_writings(family: Family, values: np.ndarray, reading: TableReading) -> list[Writing]:
     """Writings as rotation vectors and Euler angles, in both units; values (N, 3), best fit first."""
     writings = []
     largest = np.nanmax(np.abs(values))
@@ -213,7 +213,7 @@ def angle_writings(family: Family, values: np.ndarray, reading: Reading) -> list
     return sorted(writings, key=lambda writing: writing.misfit)
 
 
-def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: Reading) -> list[Writing]:
+def matrix_writings(columns: MatrixColumns, values: dict[str, np.ndarray], reading: TableReading) -> list[Writing]:
     """Writings as a matrix row by row, or by column where cells are counted through; values (N,) each, best fit first."""
     writings = []
     for names in columns.rotation:
@@ -253,7 +253,7 @@ def _sequences(family: Family) -> Iterator[tuple[str, list[int]]]:
         yield sequence, by_axis if names_its_axis else [0, 1, 2]
 
 
-def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, per: str | None) -> Reading:
+def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, per: str | None) -> TableReading:
     """Fit the unknown frames for one way to read the columns, and see how far the targets then are."""
     R, p = tip_frames(robot, _si_readings(sample, angle, travel))
     m = sample.position * LENGTHS[length]
@@ -271,10 +271,10 @@ def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, pe
         starts.append((float(np.median(distance)), turn))
     metres, turn = min(starts, key=lambda start: start[0])
     share = metres / max(_spread(m), LEAST_SPREAD)
-    return Reading(angle, length, travel, per, metres, share, turn, R)
+    return TableReading(angle, length, travel, per, metres, share, turn, R)
 
 
-def _misfit(measured: Rotation, values: np.ndarray, reading: Reading) -> float:
+def _misfit(measured: Rotation, values: np.ndarray, reading: TableReading) -> float:
     """Median angle between measured orientations and the nominal robot's, the target's own being free, [rad].
 
     The target's orientation on the tip, R_tip_target = (R_world_base R_base_tip)' R_measured, should be the same in every

@@ -10,14 +10,14 @@ import numpy as np
 from aridcal.engine.instruments.pixels import faces, in_image
 from aridcal.engine.instruments.setup import WORLD
 from aridcal.files.instrument_settings import Carrier
-from aridcal.files.things import BOARD, Known
+from aridcal.files.things import BOARD, InstrumentDeclarations
 from aridcal.jobs.simulate.true_things import (
     FACING,
     MARKER_BOX,
     RANGE_OF_TIP,
     RANGE_OF_WORLD,
-    Real,
     RealCamera,
+    RealThings,
     TrueCamera,
     TrueThings,
     real_camera,
@@ -57,7 +57,7 @@ class Sight:
         size: Width and height of each camera's images, shape (C, 2), [px].
     """
 
-    real: dict[str, Real]
+    real: dict[str, RealThings]
     boards: tuple[tuple[int, ...], ...]
     markers: tuple[np.ndarray, ...]
     printed: tuple[bool, ...]
@@ -160,15 +160,15 @@ class _Setup:
             numbers.append(first + np.arange(len(board.labels)))
             first += len(board.labels)
         real = {
-            "camera": Real(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
-            "board": Real(tuple(BOARD + board.carrier for board in self.boards), np.array(boards)),
-            "marker": Real(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
+            "camera": RealThings(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
+            "board": RealThings(tuple(BOARD + board.carrier for board in self.boards), np.array(boards)),
+            "marker": RealThings(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
         }
         printed = tuple(board.printed for board in self.boards)
         return Sight(real, self.looked_at, tuple(numbers), printed, self.size)
 
 
-def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
+def sight(things: TrueThings, known: InstrumentDeclarations, tips: Tips, draw: Draw, rng: np.random.Generator) -> Sight:
     """Cameras and markers as they are; see :mod:`aridcal.jobs.simulate.true_things`.
 
     What is not given stands where the arm shows or sees it from many postures: the best of some places.
@@ -202,7 +202,9 @@ def sight(things: TrueThings, known: Known, tips: Tips, draw: Draw, rng: np.rand
     return setup.sight(np.eye(4))
 
 
-def _board(carrier: Carrier, alone: bool, things: TrueThings, known: Known, rng: np.random.Generator) -> _Board:
+def _board(
+    carrier: Carrier, alone: bool, things: TrueThings, known: InstrumentDeclarations, rng: np.random.Generator
+) -> _Board:
     """The markers on a carrier; those of the world have no place yet where nobody says it.
 
     Args:

@@ -11,7 +11,7 @@ from aridcal.engine.corrections.catalogue import KINDS, is_of_head
 from aridcal.engine.corrections.labels import STATION
 from aridcal.engine.corrections.loads import PAYLOAD
 from aridcal.engine.robot.chain import Robot
-from aridcal.files.campaign import Job
+from aridcal.files.campaign import JobSettings
 from aridcal.files.yaml_file import Section, Vector3
 from aridcal.jobs.simulate.true_effects import Parameter, TrueEffect, columns_needed, given
 from aridcal.jobs.simulate.true_things import TrueThings
@@ -75,7 +75,7 @@ class Truth(Section):
     seed: int = Field(default=0, ge=0)
 
 
-class Scenario(Job):
+class Scenario(JobSettings):
     """A campaign's keys and the truth behind it."""
 
     truth: Truth

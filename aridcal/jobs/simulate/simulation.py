@@ -32,8 +32,8 @@ from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
 from aridcal.jobs.head1992.render import Optics
 from aridcal.jobs.simulate.measuring import measured, targets
 from aridcal.jobs.simulate.scenario import Scenario, Truth, check_scenario, columns_of
-from aridcal.jobs.simulate.true_effects import Cause, Machine, draw_columns, make_causes
-from aridcal.jobs.simulate.true_things import Real, documents
+from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
+from aridcal.jobs.simulate.true_things import RealThings, documents
 from aridcal.jobs.simulate.viewpoints import draw_views, photographed, true_head
 from aridcal.system.errors import CampaignError, MeasurementError, nearest
 from aridcal.system.progress import SILENT, Progress
@@ -65,10 +65,10 @@ class Simulation:
     tables: tuple[pd.DataFrame, ...]
     parameters: dict[str, float]
     frames: dict[str, pin.SE3]
-    causes: tuple[Cause, ...]
+    causes: tuple[PreparedEffect, ...]
     outliers: np.ndarray
     images: Mapping[str, bytes] = field(default_factory=dict)
-    real: Mapping[str, Real] = field(default_factory=dict)
+    real: Mapping[str, RealThings] = field(default_factory=dict)
 
     @property
     def measurements(self) -> pd.DataFrame:

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.catalogue import KINDS, declared
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import LOADS, PAYLOAD, Surroundings, covariate_table, is_load
 from aridcal.engine.corrections.sights import sight_table
 from aridcal.engine.corrections.smooth import Kernel, samples_root
@@ -107,7 +107,7 @@ class TrueEffect(EffectDeclaration):
 
 
 @dataclass(frozen=True)
-class Cause:
+class PreparedEffect:
     """A true effect made ready for the model.
 
     Attributes:
@@ -159,13 +159,15 @@ class Machine:
         bare = replace(bare, routes=(route,))
         return lambda readings: bare.poses(theta, bare.rows(readings, target=np.full(len(readings), label)))
 
-    def model(self, causes: Sequence[Cause] = (), around: Surroundings | None = None) -> tuple[Model, np.ndarray]:
+    def model(
+        self, causes: Sequence[PreparedEffect] = (), around: Surroundings | None = None
+    ) -> tuple[Model, np.ndarray]:
         """The machine as a model, and its true coefficients."""
         faults, values = self.faults(causes, around or Surroundings())
         made = faults.with_coefficients((*self.constants, *faults.coefficients))
         return made, np.concatenate([self.theta, values])
 
-    def faults(self, causes: Sequence[Cause], around: Surroundings) -> tuple[Model, np.ndarray]:
+    def faults(self, causes: Sequence[PreparedEffect], around: Surroundings) -> tuple[Model, np.ndarray]:
         """A model with the effects alone, without the constants, and their true coefficients."""
         of_effects = tuple(c for cause in causes for c in cause.effect.coefficients)
         frames = ((None, self.world),), tuple(self.tips.items())
@@ -227,7 +229,7 @@ def make_causes(
     tip: np.ndarray | None = None,
     held: Mapping[tuple[str, str], tuple[str, ...]] | None = None,
     places: Mapping[str, np.ndarray] | None = None,
-) -> tuple[list[Cause], dict[str, np.ndarray]]:
+) -> tuple[list[PreparedEffect], dict[str, np.ndarray]]:
     """Turn effects into coefficients of the model.
 
     Args:
@@ -258,7 +260,7 @@ def make_causes(
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
     table |= places
     referred = dict.fromkeys(held or {}, len(readings))
-    rows = Observed(robot, table, tuple(columns), held=held or {}, referred=referred, masses=around.masses)
+    rows = ObservedRows(robot, table, tuple(columns), held=held or {}, referred=referred, masses=around.masses)
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}
@@ -269,7 +271,7 @@ def make_causes(
             column = f"{e.form}({','.join(names)})"
             depends[column], ranges = _function(e, names, table, place)
             effect = _functional(e, column, robot, place)
-        causes.append(Cause(effect, values(e, effect, rng, place), ranges))
+        causes.append(PreparedEffect(effect, values(e, effect, rng, place), ranges))
     return causes, depends
 
 

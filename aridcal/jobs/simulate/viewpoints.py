@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from aridcal.engine.corrections.catalogue import declared, is_of_head
-from aridcal.engine.corrections.effect_kind import Observed
+from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.instruments.camera_sonar import Head
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
@@ -19,7 +19,7 @@ from aridcal.jobs.head1992.render import Optics, photograph
 from aridcal.jobs.head1992.shot_rows import head_of
 from aridcal.jobs.head1992.square import INCH
 from aridcal.jobs.simulate.scenario import Scenario
-from aridcal.jobs.simulate.true_effects import Cause, values
+from aridcal.jobs.simulate.true_effects import PreparedEffect, values
 from aridcal.system.errors import CampaignError
 from aridcal.system.progress import Progress
 
@@ -258,7 +258,7 @@ def photographed(
 
 def true_head(
     scenario: Scenario, robot: Robot, settings: HeadSettings, rng: np.random.Generator
-) -> tuple[Head, list[Cause]]:
+) -> tuple[Head, list[PreparedEffect]]:
     """The measuring head as it really is, and its effects.
 
     Args:
@@ -269,12 +269,12 @@ def true_head(
     """
     head, place = head_of(settings), f"{scenario.path}: truth"
     phi, causes = head.phi.copy(), []
-    observed = Observed(robot, {}, (), held=head_things(head).held)
+    observed = ObservedRows(robot, {}, (), held=head_things(head).held)
     for e in scenario.truth.effects:
         if is_of_head(e.kind):
             effect = declared(observed, e, place)
             theta = values(e, effect, rng, place)
-            causes.append(Cause(effect, theta, {}))
+            causes.append(PreparedEffect(effect, theta, {}))
             for c, value in zip(effect.coefficients, theta.tolist(), strict=True):
                 phi[list(head.role.moved_by(c.where, c.component))] += value
     return replace(head, phi=phi), causes

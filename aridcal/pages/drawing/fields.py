@@ -11,7 +11,7 @@ from aridcal.pages.drawing.plot import (
     INK,
     LINE,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     dots,
     frame,
@@ -109,7 +109,7 @@ def _plane(
 ) -> tuple[Area, list[str], float]:
     """An area of equal scale in both directions below a colour scale; what stands around it, and the figure's height."""
     (x, y), spans = (scale(points[:, k], 0.05) for k in (0, 1)), np.maximum(1.1 * np.ptp(points, axis=0), 1e-9)
-    names, high = legend([Named(name, INK, "ring") for name in marks], 0.0, WIDTH)
+    names, high = legend([LegendEntry(name, INK, "ring") for name in marks], 0.0, WIDTH)
     top = high + 2 * LINE + 6
     left = 2 * LINE + room_for(y, TICKS[1]) - 8
     width = WIDTH - left - EDGES[1]

@@ -17,7 +17,7 @@ from aridcal.pages.drawing.plot import (
     INK,
     LINE,
     Area,
-    Named,
+    LegendEntry,
     Scale,
     band,
     bars,
@@ -84,7 +84,7 @@ def histogram(key: str, alt: str, values: Mapping[str, np.ndarray], label: str) 
     shares = [100.0 * np.histogram(np.minimum(v, edges[-1]), edges)[0] / len(v) for v in values.values()]
     y = Scale(0.0, 1.05 * max(float(share.max()) for share in shares))
     colors = (BEFORE, AFTER)
-    names = [Named(name, color, "box") for name, color in zip(values, colors, strict=False)]
+    names = [LegendEntry(name, color, "box") for name, color in zip(values, colors, strict=False)]
     area, made = axes((label, "rows [%]"), Scale(0.0, float(edges[-1])), y, names)
     for share, color, filled in zip(shares, colors, (0.15, 0.45), strict=False):
         made.append(stairs(area, edges, share, 0.0, color, filled, 1.4))
@@ -199,7 +199,7 @@ def correlogram(key: str, alt: str, lags: np.ndarray, correlation: np.ndarray, b
         label: Of the horizontal axis.
     """
     top = 1.15 * max(float(np.abs(correlation).max()), 2.0 * bound)
-    names = (Named("95 % of noise", GREY, "box"), Named("residuals", AFTER))
+    names = (LegendEntry("95 % of noise", GREY, "box"), LegendEntry("residuals", AFTER))
     lags = lags.astype(float)
     area, made = axes((label, "correlation [1]"), scale(lags, 0.05), Scale(-top, top), names)
     ends = np.array([area.x.low, area.x.high])
@@ -231,7 +231,7 @@ def falling(
     low, high = float(np.nanmin(every)), float(np.nanmax(every))
     room = max((high / low) ** 0.05, 1.001)
     colors = (AFTER, BEFORE, GREY)
-    names = [Named(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
+    names = [LegendEntry(name, color, "line" if joined else "dot") for name, color in zip(there, colors, strict=False)]
     x = Scale(0.0, 1.05 * max(float(at.max()), 1.0))
     area, made = axes(labels, x, Scale(low / room, high * room, log=True), names)
     for v, color in zip(there.values(), colors, strict=False):
@@ -265,7 +265,7 @@ def curve(
     """
     cut = [*np.percentile(value - 2 * std, [3, 97]), *np.percentile(value + 2 * std, [3, 97]), value.min(), value.max()]
     cut += [*np.percentile(rows[1], [1, 99])] if len(rows[1]) else []
-    names = (Named("rows", GREY), Named("identified, ± 2σ", AFTER, "line"))
+    names = (LegendEntry("rows", GREY), LegendEntry("identified, ± 2σ", AFTER, "line"))
     width = WIDE if winding else WIDTH
     x = scale(np.concatenate([at, rows[0]]), 0.03)
     area, made = axes(labels, x, scale(np.array(cut), 0.06), names, width)
@@ -299,7 +299,7 @@ def banded(
         top: Of the vertical axis; None: what the values need.
     """
     highest = max((float(np.nanmax(v)) for v in values.values() if np.isfinite(v).any()), default=0.0)
-    names = [Named(name, color, "line") for name, color in zip(values, COLOURS, strict=False)]
+    names = [LegendEntry(name, color, "line") for name, color in zip(values, COLOURS, strict=False)]
     area, made = axes(labels, scale(at.astype(float)), Scale(0.0, top or 1.05 * highest or 1.0), names)
     for v, color in zip(values.values(), COLOURS, strict=False):
         there = np.isfinite(v).all(axis=1)
@@ -313,7 +313,7 @@ def axes(
     labels: tuple[str, str],
     x: Scale,
     y: Scale,
-    names: Sequence[Named] = (),
+    names: Sequence[LegendEntry] = (),
     width: float = WIDTH,
     above: float | None = None,
 ) -> tuple[Area, list[str]]:

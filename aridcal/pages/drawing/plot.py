@@ -275,7 +275,7 @@ def frame(area: Area, most: tuple[int, int], numbers: bool = True) -> str:
 
 
 @dataclass(frozen=True)
-class Named:
+class LegendEntry:
     """An entry of a legend.
 
     Attributes:
@@ -289,7 +289,7 @@ class Named:
     sign: str = "dot"
 
 
-def legend(entries: Sequence[Named], left: float, right: float) -> tuple[str, float]:
+def legend(entries: Sequence[LegendEntry], left: float, right: float) -> tuple[str, float]:
     """Entries from the top on, as many in a line as there is room for; and how high they are."""
     made, x, y = [], left, LINE - 4
     for entry in entries:
@@ -301,7 +301,7 @@ def legend(entries: Sequence[Named], left: float, right: float) -> tuple[str, fl
     return "".join(made), y + 4 if entries else 0.0
 
 
-def _sign(entry: Named, x: float, y: float) -> str:
+def _sign(entry: LegendEntry, x: float, y: float) -> str:
     if entry.sign == "line":
         return path(f"M{x:.1f} {y:.1f}h11", stroke=entry.color, stroke_width=2)
     if entry.sign == "box":

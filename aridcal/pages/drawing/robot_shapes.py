@@ -19,7 +19,7 @@ from lxml import etree
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.robot.link_shapes import GREY, Shape, floats, mesh_files, say_missing, shapes_of
+from aridcal.engine.robot.link_shapes import GREY, LinkShape, floats, mesh_files, say_missing, shapes_of
 from aridcal.engine.robot.meshes import TRIANGLES, MeshMissing, NotDrawable, read_meshes, weld
 from aridcal.pages.drawing.html import one_line, reason
 from aridcal.system.errors import shortened
@@ -49,7 +49,7 @@ THICKNESS, BALL, THINNEST = 0.015, 1.6, 1e-3
 ORANGE = (0.93, 0.45, 0.13)
 
 
-def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
+def robot_shapes(robot: Robot) -> tuple[tuple[LinkShape, ...], tuple[str, ...]]:
     """Collect every ``<visual>`` of a URDF that can be drawn, or a stick figure if none can.
 
     Returns:
@@ -63,7 +63,7 @@ def robot_shapes(robot: Robot) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
         notices.append(f"of {len(visuals):,} visuals only the first {MOST_SHAPES:,} are drawn")
         visuals = visuals[:MOST_SHAPES]
     meshes = read_meshes(mesh_files([visual for _, visual in visuals], robot))
-    shapes: list[Shape] = []
+    shapes: list[LinkShape] = []
     triangles = 0
     missing: list[MeshMissing] = []
     for name, visual in visuals:
@@ -99,7 +99,7 @@ def _few(notices: list[str]) -> tuple[str, ...]:
     return tuple(different if rest <= 1 else [*different[:MOST_NOTICES], f"and {rest} more notices of this kind"])
 
 
-def _sound(shape: Shape) -> Shape:
+def _sound(shape: LinkShape) -> LinkShape:
     """Give a shape as it can be drawn: it is near the robot, and its mesh's faces are wide enough to be seen.
 
     Raises:
@@ -136,7 +136,7 @@ def _material_colour(
     return rgba[:3]
 
 
-def _thinned(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
+def _thinned(shapes: Sequence[LinkShape]) -> tuple[LinkShape, ...]:
     """Meshes within the page's allowance: the small ones as they are, the large ones down to one common number of faces."""
     most = _allowance([len(shape.faces) for shape in shapes if shape.kind == "mesh"])
     thinned = []
@@ -159,7 +159,7 @@ def _allowance(faces: list[int]) -> int:
     return most
 
 
-def _skeleton(robot: Robot) -> tuple[Shape, ...]:
+def _skeleton(robot: Robot) -> tuple[LinkShape, ...]:
     """Draw a ball at each joint, and a rod to it from the joint before."""
     model = robot.tree
     steps = [placement.translation for placement in model.jointPlacements[1:]]
@@ -168,11 +168,11 @@ def _skeleton(robot: Robot) -> tuple[Shape, ...]:
     along_z = np.array([0.0, 0.0, 1.0])
     shapes = []
     for joint, (step, length) in enumerate(zip(steps, lengths, strict=True), 1):
-        shapes.append(Shape(joint, np.eye(4), "sphere", (BALL * radius,), ORANGE))
+        shapes.append(LinkShape(joint, np.eye(4), "sphere", (BALL * radius,), ORANGE))
         if length > radius:
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = turn(along_z, step), step / 2
-            shapes.append(Shape(model.parents[joint], T, "cylinder", (radius, length), GREY))
+            shapes.append(LinkShape(model.parents[joint], T, "cylinder", (radius, length), GREY))
     return tuple(shapes)
 
 

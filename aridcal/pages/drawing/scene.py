@@ -23,7 +23,7 @@ from markupsafe import Markup
 from aridcal.engine.fit.constants import stage_urdf
 from aridcal.engine.robot.chain import Robot, same_chain
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, start_frames, tree_frames
-from aridcal.engine.robot.link_shapes import Shape
+from aridcal.engine.robot.link_shapes import LinkShape
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.pages.drawing.frame import asset, empty_page, filled
 from aridcal.pages.drawing.html import attempt, note, noting
@@ -141,7 +141,7 @@ def scene_page(scene: Scene) -> str:
     return _page(scene_content(scene, shapes) | {"notices": notices, "script": which}, script)
 
 
-def scene_content(scene: Scene, shapes: tuple[Shape, ...]) -> dict[str, Any]:
+def scene_content(scene: Scene, shapes: tuple[LinkShape, ...]) -> dict[str, Any]:
     """Collect all that the page's script needs, as plain data; arrays as base64 of little-endian float32 (or as stated).
 
     Args:
@@ -214,7 +214,7 @@ def _in_base(scene: Scene) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str,
     return turned(scene.measured - origin), errors, moved
 
 
-def _corners(shapes: tuple[Shape, ...], joints: list[int], T_base_body: np.ndarray) -> list[np.ndarray]:
+def _corners(shapes: tuple[LinkShape, ...], joints: list[int], T_base_body: np.ndarray) -> list[np.ndarray]:
     """Return the corners of the shapes' boxes in the base's frame, (8, 3) each, the bodies standing at (bodies, 4, 4)."""
     corners = []
     for shape in shapes:
@@ -324,7 +324,9 @@ def limb_of(robot: Robot, joint: str) -> int:
     return -1
 
 
-def _deduplicated(shapes: tuple[Shape, ...], joints: list[int]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def _deduplicated(
+    shapes: tuple[LinkShape, ...], joints: list[int]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Each geometry once, and where each is drawn in which colour."""
     numbers: dict[str, int] = {}
     visuals = []
@@ -339,7 +341,7 @@ def _deduplicated(shapes: tuple[Shape, ...], joints: list[int]) -> tuple[list[di
     return [json.loads(g) for g in numbers], visuals
 
 
-def _geometry(shape: Shape) -> dict[str, Any]:
+def _geometry(shape: LinkShape) -> dict[str, Any]:
     """Write a shape's form; faces as 16-bit numbers where these are enough."""
     geometry: dict[str, Any] = {"kind": shape.kind, "size": shape.size}
     if shape.kind != "mesh":

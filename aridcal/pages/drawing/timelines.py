@@ -26,7 +26,7 @@ LEAST_MARKED = 2.0
 
 
 @dataclass(frozen=True)
-class Stretch:
+class TimeStretch:
     """A stretch of time that is marked.
 
     Attributes:
@@ -76,7 +76,7 @@ def timeline(
     value: np.ndarray,
     std: np.ndarray,
     label: str,
-    stretches: Sequence[Stretch] = (),
+    stretches: Sequence[TimeStretch] = (),
 ) -> str:
     """Values with bars of two sigma over time.
 

@@ -13,9 +13,9 @@ from aridcal.engine.instruments.channels import INCLINATION, Channels
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause
-from aridcal.engine.search.noise_shapes import Shape
+from aridcal.engine.search.noise_shapes import NoiseShape
 from aridcal.engine.trust.certainty import Certainty
-from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, Kept
+from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, ToleranceAnswer
 from aridcal.files.purposes import About
 from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
@@ -182,7 +182,7 @@ def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     return [_kept(part, certainty) for part in of_these if certainty]
 
 
-def _kept(part: Kept, certainty: Certainty) -> tuple[bool, str]:
+def _kept(part: ToleranceAnswer, certainty: Certainty) -> tuple[bool, str]:
     """Whether the region keeps one quantity, position or rotation, within its bound, and the sentence on it."""
     unit, share, sure = "mrad" if part.of == "rotation" else "mm", f"{100 * SHARE:.0f} %", f"{100 * CONFIDENCE:.0f} %"
     where, bound = f"in {share} of {certainty.title}", f"{number(1e3 * part.bound)} {unit}"
@@ -230,7 +230,7 @@ GROWS = {0: "", 1: ", and in proportion to the distance", 2: ", and by the squar
 """How noise grows along lines of sight, in words, by the power."""
 
 
-def _noise_of_shape(c: NoiseCause, shape: Shape) -> str:
+def _noise_of_shape(c: NoiseCause, shape: NoiseShape) -> str:
     """What lies along something, with its size and what it is likely to be."""
     unit, times = shown_in(c.unit)
     size = f"{plus_minus(times * c.value, times * c.std)} {unit}"

@@ -19,7 +19,7 @@ from aridcal.jobs.calibrate.key_figures import (
     OVERFIT_RATIO,
     PLUS,
     QUESTIONABLE_OUTLIERS,
-    Step,
+    ModelStep,
     another_day,
     constants,
     every_held_out_row,
@@ -203,7 +203,7 @@ def _other_day(outcome: Outcome) -> Content:
     return card(noun, channel.shown, *days, "before → after calibration, on the rows given with --verify.", below)
 
 
-def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
+def _bars(scores: list[tuple[ModelStep, float]], unit: str) -> Markup:
     """One bar for each model; of many the ones before the last are taken together."""
     bars = [(_name(step), value) for step, value in scores]
     if len(bars) > MOST_BARS:
@@ -220,7 +220,7 @@ def _bars(scores: list[tuple[Step, float]], unit: str) -> Markup:
     return tag("ol", drawn, class_="bars")
 
 
-def _name(step: Step) -> str:
+def _name(step: ModelStep) -> str:
     """Name of a model, as a customer knows it; what equals the whole model keeps its other name."""
     names = step.names[:-1] if len(step.names) > 1 and step.names[-1] == "final" else step.names
     return " = ".join(GIVEN.get(name, name) for name in names)
@@ -252,7 +252,9 @@ def _causes(outcome: Outcome) -> Iterator[Content]:
         yield tag("p", "Largest: ", words[1:], ".")
 
 
-def _shares_in_words(outcome: Outcome, shares: list[tuple[Step, float]], corrections: int) -> Iterator[tuple[str, str]]:
+def _shares_in_words(
+    outcome: Outcome, shares: list[tuple[ModelStep, float]], corrections: int
+) -> Iterator[tuple[str, str]]:
     """``86 %`` and ``nine geometric corrections``, ``12 %`` and ``joint_map at joint_2 (the joint's angle errs ...)``.
 
     Args:

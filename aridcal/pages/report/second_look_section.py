@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.levels import BLOCKS
-from aridcal.engine.trust.combinations import Combination, Known
+from aridcal.engine.trust.combinations import Combination, Identifiability
 from aridcal.engine.trust.cross_validation import DECIDES, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.instrument_results import known_scale
@@ -149,7 +149,7 @@ def known(outcome: Outcome) -> Iterator[Content]:
     )
 
 
-def _combinations(outcome: Outcome, constants: Known) -> Markup:
+def _combinations(outcome: Outcome, constants: Identifiability) -> Markup:
     """The two ends of the list of combinations."""
     every = constants.combinations
     shown = range(len(every))
@@ -172,7 +172,7 @@ def _sigma(of: Combination) -> str:
     return f"{number(1e3 * of.std, 2)} {unit}"
 
 
-def _minimal(outcome: Outcome, constants: Known) -> Iterator[Content]:
+def _minimal(outcome: Outcome, constants: Identifiability) -> Iterator[Content]:
     """A minimal identifiable set, and which constants could stay nominal."""
     robot = outcome.robot
     named = ", ".join(constant_in_words(name, robot) for name in constants.names)

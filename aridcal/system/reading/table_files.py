@@ -44,7 +44,7 @@ BYTES_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True)
-class Broken:
+class BrokenRow:
     """A row that does not have as many cells as the header.
 
     Attributes:
@@ -71,7 +71,7 @@ class FileCells:
 
     cells: pa.Table
     line: np.ndarray
-    broken: tuple[Broken, ...] = ()
+    broken: tuple[BrokenRow, ...] = ()
     left_out: tuple[str, ...] = ()
 
 
@@ -254,7 +254,7 @@ def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: s
         )
     why = f"cells in a row of {len(header)} columns"
     return FileCells(
-        cells, line, tuple(Broken(row.number, shortened(row.text), f"{row.actual_columns} {why}") for row in broken)
+        cells, line, tuple(BrokenRow(row.number, shortened(row.text), f"{row.actual_columns} {why}") for row in broken)
     )
 
 

@@ -29,13 +29,13 @@ from aridcal.system.writing.staging import (
     staged,
 )
 
-Kind = Literal["folder", "file"]
+OutputKind = Literal["folder", "file"]
 
 MOST_LINKS = 40
 """One after another, as many as Linux follows."""
 
 
-def check_writable(path: Path, kind: Kind | None = None) -> None:
+def check_writable(path: Path, kind: OutputKind | None = None) -> None:
     """Make sure that results can be written, before any work is done for them.
 
     Args:
@@ -73,7 +73,7 @@ def check_home(path: Path) -> None:
 
 
 @contextmanager
-def claimed(path: Path, kind: Kind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
+def claimed(path: Path, kind: OutputKind, names: Collection[str] = (), folders: Collection[str] = ()) -> Iterator[None]:
     """Take an output for this process until the block ends, before any work is done for it.
 
     What killed runs have left beside it is settled and cleared away.

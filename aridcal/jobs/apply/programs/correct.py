@@ -26,7 +26,7 @@ from aridcal.jobs.apply.joint_commands import LEAST_MOTION
 from aridcal.jobs.apply.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, uncorrected
 from aridcal.jobs.apply.programs.notations import inverse
-from aridcal.jobs.apply.programs.targets import Notation, Place, Target
+from aridcal.jobs.apply.programs.targets import Notation, PoseReference, Target
 from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
 from aridcal.jobs.apply.target_poses import directions, extrapolates, needed_of, std_of
 from aridcal.jobs.calibrate.saved_model import SavedModel
@@ -601,18 +601,20 @@ def _fits(target: Target) -> Callable[[np.ndarray], bool] | None:
     return None if target.branch.words is None else target.branch.words.agree
 
 
-def _place(target: Target) -> Place:
+def _place(target: Target) -> PoseReference:
     """Frame and tool of a pose."""
     assert target.place is not None
     return target.place
 
 
-def _frames(places: Sequence[Place]) -> tuple[np.ndarray, np.ndarray]:
+def _frames(places: Sequence[PoseReference]) -> tuple[np.ndarray, np.ndarray]:
     """Frames and tools, shape (n, 4, 4) each."""
     return np.array([place.base for place in places]), np.array([place.tool for place in places])
 
 
-def _placed(targets: Sequence[Target], numbers: Sequence[Sequence[float]], places: Sequence[Place] = ()) -> np.ndarray:
+def _placed(
+    targets: Sequence[Target], numbers: Sequence[Sequence[float]], places: Sequence[PoseReference] = ()
+) -> np.ndarray:
     """T_base_tip of poses that say some numbers, shape (n, 4, 4): at their own places, or at others."""
     poses = np.empty((len(targets), 4, 4))
     for notation, own in _by_notation(targets):

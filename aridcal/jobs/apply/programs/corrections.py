@@ -9,7 +9,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.proof import Change
+from aridcal.jobs.apply.programs.proof import TextChange
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NUL
 from aridcal.system.errors import printable
@@ -118,7 +118,7 @@ class Corrections(Sequence[Correction]):
         empty = [""] * len(self.why)
         return replace(self, targets=targets, texts=empty, words=empty)
 
-    def changes(self) -> Iterator[Change]:
+    def changes(self) -> Iterator[TextChange]:
         """Numbers of targets that change, those of the posture among them, and what stands there now."""
         for target, why, texts, words in zip(self.targets, self.why, self.texts, self.words, strict=True):
             if not why:
@@ -131,12 +131,12 @@ def _differs(target: Target, texts: str, words: str) -> bool:
     return texts != target.numbers.joined or (stated is not None and bool(words) and words != stated.numbers.joined)
 
 
-def _changes(target: Target, texts: str, words: str) -> Iterator[Change]:
+def _changes(target: Target, texts: str, words: str) -> Iterator[TextChange]:
     stated = target.branch.words
     if texts != target.numbers.joined:
-        yield Change(target.file, target.numbers, texts)
+        yield TextChange(target.file, target.numbers, texts)
     if stated is not None and words and words != stated.numbers.joined:
-        yield Change(target.file, stated.numbers, words)
+        yield TextChange(target.file, stated.numbers, words)
 
 
 def uncorrected(targets: Sequence[Target]) -> Corrections:

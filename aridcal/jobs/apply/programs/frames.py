@@ -35,7 +35,7 @@ ROUNDED = 1e-3
 """[m] and of a rotation's matrix: a listing in tenths of a millimetre and of a degree agrees with exact numbers within that."""
 
 
-class FrameSettings(Settings):
+class ProgramFrameSettings(Settings):
     """A file of ``--frames``.
 
     Attributes:
@@ -62,7 +62,7 @@ class KnownFrames:
     Attributes:
         bases: Where targets are.
         tools: What is to be there.
-        start: See :class:`FrameSettings`.
+        start: See :class:`ProgramFrameSettings`.
         harmless: Likewise, in small letters.
         j3_from_link_2: Likewise.
         pulses_per_degree: Likewise.
@@ -85,7 +85,7 @@ def read_frames(path: Path | None) -> KnownFrames:
     if path is None:
         return KnownFrames()
     try:
-        settings = load_settings(path, FrameSettings)
+        settings = load_settings(path, ProgramFrameSettings)
     except CampaignError as problem:
         raise CampaignError(f"{problem}\n{EXAMPLE}" if path.is_file() else str(problem)) from None
     if settings.pulses_per_degree and (len(settings.pulses_per_degree) != MOST or 0.0 in settings.pulses_per_degree):

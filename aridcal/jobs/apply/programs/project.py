@@ -14,7 +14,7 @@ PROGRAM = Limit(50)
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFile:
     """A file of a project.
 
     Attributes:
@@ -36,11 +36,11 @@ class Project:
         sources: Those to be corrected first.
     """
 
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
 
     def with_texts(self, texts: Sequence[str]) -> Project:
         """The same files with other texts."""
-        return Project(tuple(Source(s.path, text, s.ours) for s, text in zip(self.sources, texts, strict=True)))
+        return Project(tuple(SourceFile(s.path, text, s.ours) for s, text in zip(self.sources, texts, strict=True)))
 
 
 def read_text(path: Path) -> str:

@@ -22,8 +22,8 @@ from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import language_of
 from aridcal.jobs.apply.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
-from aridcal.jobs.apply.programs.proof import Change, corrected, edited, meant
-from aridcal.jobs.apply.programs.read_project import Opened, read_project
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edited, meant
+from aridcal.jobs.apply.programs.read_project import LoadedProject, read_project
 from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.system.errors import CampaignError, MeasurementError, OutputError, printable
@@ -91,7 +91,7 @@ class Answer:
     notes: tuple[str, ...]
     corrections: Corrections
     outputs: Outputs
-    opened: Opened
+    opened: LoadedProject
     saved: SavedModel
 
 
@@ -175,7 +175,7 @@ def _refuse_coupled(robot: Robot) -> None:
 
 
 def _corrected(
-    request: Request, saved: SavedModel, content: bytes, opened: Opened, progress: Progress
+    request: Request, saved: SavedModel, content: bytes, opened: LoadedProject, progress: Progress
 ) -> tuple[tuple[str, ...], Corrections, tuple[str, ...]]:
     """What was taken for granted, what becomes of each target, and the proved new text of each file."""
     language, robot = opened.language, saved.final.model.robot
@@ -220,14 +220,16 @@ def _zeros_hint(corrections: Corrections, cell: Cell, language: Language) -> str
     return zeros_hint([*poses, *joints], positions, cell, language.name)
 
 
-def _marks(language: Language, opened: Opened, files: Collection[int], calibration: bytes) -> Iterator[Change]:
+def _marks(
+    language: Language, opened: LoadedProject, files: Collection[int], calibration: bytes
+) -> Iterator[TextChange]:
     """A comment in each file that changes."""
     day = datetime.date.today().isoformat()
     for file in files:
         mark = mark_of(language, opened.project.sources[file].text, calibration, day)
         if mark is not None:
             place, comment = mark
-            yield Change(file, Numbers([place]), comment)
+            yield TextChange(file, Numbers([place]), comment)
 
 
 def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Language) -> np.ndarray:
@@ -241,7 +243,7 @@ def _readings(numbers: Sequence[float], where: str, axes: Axes, language: Langua
     return readings
 
 
-def _outputs(request: Request, opened: Opened) -> Outputs:
+def _outputs(request: Request, opened: LoadedProject) -> Outputs:
     """Where the programs of a project are to be written.
 
     Raises:
@@ -275,7 +277,7 @@ def _check_outside(out: Path, programs: Sequence[Path]) -> None:
             raise OutputError(f"{out}: is where the programs are read from; give a folder outside of {folder}")
 
 
-def _write(opened: Opened, outputs: Outputs, texts: Sequence[str], corrections: Corrections) -> None:
+def _write(opened: LoadedProject, outputs: Outputs, texts: Sequence[str], corrections: Corrections) -> None:
     """Write the programs and the table beside them, all or none."""
     sources = opened.project.sources
     hashes = [output_hash(text) if text != source.text else "" for source, text in zip(sources, texts, strict=True)]

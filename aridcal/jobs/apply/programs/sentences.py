@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aridcal.jobs.apply.programs.corrections import Corrections
-from aridcal.jobs.apply.programs.read_project import Opened
+from aridcal.jobs.apply.programs.read_project import LoadedProject
 from aridcal.jobs.apply.programs.rewrite import Answer
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.system.errors import shortened
@@ -35,7 +35,7 @@ def _headline(answer: Answer) -> str:
     return f"{headline}; {off}"
 
 
-def _reasons(found: Corrections, opened: Opened) -> list[str]:
+def _reasons(found: Corrections, opened: LoadedProject) -> list[str]:
     """Why targets are left, the most frequent reason first, each with the first of its targets."""
     by_reason: dict[str, list[int]] = {}
     for k in np.flatnonzero(found.left).tolist():
@@ -51,7 +51,7 @@ def _reasons(found: Corrections, opened: Opened) -> list[str]:
     return lines
 
 
-def _remarks(found: Corrections, opened: Opened) -> list[str]:
+def _remarks(found: Corrections, opened: LoadedProject) -> list[str]:
     """What is to be known of corrections, and where most remains."""
     by_remark: dict[str, list[int]] = {}
     for k in np.flatnonzero(~found.left).tolist():
@@ -68,7 +68,7 @@ def _remarks(found: Corrections, opened: Opened) -> list[str]:
     return lines
 
 
-def _name(target: Target, opened: Opened) -> str:
+def _name(target: Target, opened: LoadedProject) -> str:
     """How messages name a target."""
     sources = opened.project.sources
     file = f"{sources[target.file].path.name} " if len(sources) > 1 else ""

@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import Code
 from aridcal.jobs.apply.programs.walk import Unknown
 
@@ -81,10 +81,10 @@ class Use(NamedTuple):
         return self.why or (base.why if isinstance(base, Unknown) else tool.why if isinstance(tool, Unknown) else "")
 
     @property
-    def place(self) -> Place:
+    def place(self) -> PoseReference:
         """The frame and the tool, of a use without trouble."""
         assert isinstance(self.base, Frame) and isinstance(self.tool, Frame)
-        return Place(self.base.T, self.tool.T)
+        return PoseReference(self.base.T, self.tool.T)
 
     def same(self, other: Use) -> bool:
         """True where both mean the same place of the same tip, in the same way."""
@@ -99,7 +99,7 @@ class Use(NamedTuple):
 What = TypeVar("What")
 """What a language calls a point of its text."""
 
-Make = Callable[[What, Use, tuple[Place, ...]], Target]
+Make = Callable[[What, Use, tuple[PoseReference, ...]], Target]
 """Turns a point, its use and its other places into a target without a reason."""
 
 

@@ -10,7 +10,19 @@ from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, P
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Instruction, Listing, plain
 from aridcal.jobs.apply.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
 from aridcal.jobs.apply.programs.uses import ANY
-from aridcal.jobs.apply.programs.walk import DEEPEST, Body, Call, Choice, Jump, Leave, Mark, Node, Repeat, Step, TooLong
+from aridcal.jobs.apply.programs.walk import (
+    DEEPEST,
+    Body,
+    Call,
+    Choice,
+    Jump,
+    Leave,
+    Mark,
+    Node,
+    Repeat,
+    Step,
+    TooManyWays,
+)
 
 
 @dataclass
@@ -138,7 +150,7 @@ class _Reader:
         label = LABEL.fullmatch(text)
         if BLOCK.fullmatch(text) is not None:
             if len(self._blocks) > DEEPEST:
-                raise TooLong
+                raise TooManyWays
             self._blocks.append(_Block("IF" if text.startswith("IF") else "LOOP", start))
             if sum(block.kind == "LOOP" for block in self._blocks) > LOOPS:
                 self._come_into()

@@ -7,7 +7,7 @@ import numpy as np
 from aridcal.jobs.apply.programs.axes import DEGREE, MILLIMETRE, Axes
 from aridcal.jobs.apply.programs.fanuc.listing import POSE, Point
 from aridcal.jobs.apply.programs.notations import FANUC
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target, Words
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target, Words
 from aridcal.jobs.apply.programs.text import NONE, Code, Numbers
 from aridcal.jobs.apply.programs.uses import Use
 
@@ -49,7 +49,9 @@ class Targets:
             return "does not state all joints of the arm"
         return COUPLED if point.joints and self._coupled else ""
 
-    def target(self, code: Code, point: Point, words: Words | None, use: Use, beside: tuple[Place, ...]) -> Target:
+    def target(
+        self, code: Code, point: Point, words: Words | None, use: Use, beside: tuple[PoseReference, ...]
+    ) -> Target:
         """The target of a point that a program uses.
 
         Args:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 from aridcal.jobs.apply.programs.axes import DEGREE
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import absent
 from aridcal.jobs.apply.programs.gcode.blocks import COMMENT, Block
 from aridcal.jobs.apply.programs.gcode.flow import Flow
 from aridcal.jobs.apply.programs.gcode.modes import MODES, UNDERSTOOD, Control, Modes, Zero
-from aridcal.jobs.apply.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, Record, letters_of
+from aridcal.jobs.apply.programs.gcode.record import AT_START, ELSEWHERE, Key, Move, MoveRecord, letters_of
 from aridcal.jobs.apply.programs.gcode.table import (
     ARC,
     CALLS,
@@ -29,7 +29,7 @@ from aridcal.jobs.apply.programs.gcode.table import (
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.text import LARGEST, Number
 from aridcal.jobs.apply.programs.uses import HERE
-from aridcal.jobs.apply.programs.walk import State, TooLong, Unknown, Walk
+from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Unknown, Walk
 from aridcal.system.errors import AridcalError
 
 POINTED = re.compile(r"[XYZABCUVW][ \t]*+[-+]?[0-9]++\.(?![0-9])", re.IGNORECASE)
@@ -51,7 +51,7 @@ CHANGES = re.compile(rf"{CHANGE[0]}[ \t]*+0*+{CHANGE[1]}(?![0-9.])", re.IGNORECA
 Words = list[tuple[str, Number | None]]
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of all straight moves, in the order in which the axes go there.
 
     A block that lacks the word of an axis leaves it where it is, so that only the words that stand there can be corrected; and
@@ -76,16 +76,16 @@ def read(project: Project, cell: Cell) -> Reading:
             walk.enter(main, reader.start(cell.start and main == flow.mains[0]))
         for name in flow.routines:
             if name not in walk.reached:
-                state = State()
+                state = ProgramState()
                 state.forget_all(f"{name} is called by no program of the given files: give that, too")
                 for k in range(len(cell.robot.kinds)):
                     state.set("last", k, ELSEWHERE)
                 walk.enter(name, state)
-    except TooLong:
+    except TooManyWays:
         flow.wild = flow.wild or "the program has more ways than can be followed"
     flow.routines.clear()
     del walk  # a long program's blocks are larger than its targets
-    return Reading(reader.record.targets(flow.wild), reader.notes())
+    return ProgramReading(reader.record.targets(flow.wild), reader.notes())
 
 
 @dataclass
@@ -123,20 +123,20 @@ class _Reader:
         self._whole = False
         self._machine = ""
         self._made_units: dict[tuple[tuple[int, ...], float], tuple[tuple[float, int], ...]] = {}
-        self.record = Record(project, len(self._kinds))
+        self.record = MoveRecord(project, len(self._kinds))
 
     @cached_property
     def _puts_in(self) -> bool:
         """Whether the programs have an instruction of its own that puts a tool in."""
         return any(CHANGES.search(COMMENT.sub("", source.text)) for source in self._project.sources)
 
-    def start(self, placed: bool) -> State:
+    def start(self, placed: bool) -> ProgramState:
         """All modes as a reset leaves them.
 
         Args:
             placed: Whether it is known where the axes are.
         """
-        state = State()
+        state = ProgramState()
         for mode, value in START.items():
             state.set(mode, None, value)
         state.set("motion", None, NOT_STATED)
@@ -146,13 +146,13 @@ class _Reader:
             state.set("last", k, AT_START)
         return state
 
-    def enter(self, what: object, name: str, state: State) -> None:
+    def enter(self, what: object, name: str, state: ProgramState) -> None:
         """Nothing: modes of the caller hold in what it calls."""
 
-    def leave(self, what: object, name: str, state: State) -> None:
+    def leave(self, what: object, name: str, state: ProgramState) -> None:
         """Nothing: modes hold on."""
 
-    def absent(self, what: object, name: str, state: State) -> None:
+    def absent(self, what: object, name: str, state: ProgramState) -> None:
         """Another program may do anything, unless the user says that it is harmless; the axes are elsewhere in any case."""
         assert isinstance(what, Block)
         if name not in self._cell.frames.harmless:
@@ -160,7 +160,7 @@ class _Reader:
         for k in range(len(self._kinds)):
             state.set("at", k, AWAY)
 
-    def step(self, what: object, state: State) -> None:
+    def step(self, what: object, state: ProgramState) -> None:
         """Carry out blocks one after the other."""
         assert isinstance(what, tuple)
         columns = range(len(self._kinds))

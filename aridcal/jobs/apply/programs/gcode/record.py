@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.jobs.apply.programs.gcode.blocks import Block
 from aridcal.jobs.apply.programs.gcode.table import INCH
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.targets import Place, Target
+from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.apply.programs.uses import Frame, Ledger, Use
 
@@ -61,7 +61,7 @@ class Move:
 
 
 @dataclass
-class Record:
+class MoveRecord:
     """All moves of a project.
 
     Attributes:
@@ -126,7 +126,7 @@ class Record:
             return replace(target, why=why, readings=None, units=())
         return replace(target, why=why, readings=self._readings(move), units=move.units)
 
-    def _target(self, move: Move, use: Use, beside: Sequence[Place]) -> Target:
+    def _target(self, move: Move, use: Use, beside: Sequence[PoseReference]) -> Target:
         """The target of a block."""
         words = move.block.axes
         numbers = tuple(number for _, number in words if number is not None)

@@ -14,7 +14,7 @@ from aridcal.jobs.apply.programs.krl.names import File
 from aridcal.jobs.apply.programs.krl.syntax import AXES, EXTERNAL, POSE, Aggregate, Bits, Expression, Fields, Goal
 from aridcal.jobs.apply.programs.notations import KUKA
 from aridcal.jobs.apply.programs.postures import krl_words
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Code, Number, Numbers
 from aridcal.jobs.apply.programs.uses import Ledger, Use, line_name
 
@@ -106,7 +106,7 @@ class Points:
         """All targets, when the walk is over."""
         return self.ledger.targets(self._target)
 
-    def _target(self, what: tuple[str, Aggregate], use: Use, beside: tuple[Place, ...]) -> Target:
+    def _target(self, what: tuple[str, Aggregate], use: Use, beside: tuple[PoseReference, ...]) -> Target:
         name, value = what
         assert value.place is not None
         file, start = value.place

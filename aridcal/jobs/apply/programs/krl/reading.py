@@ -7,22 +7,22 @@ from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.krl import table
-from aridcal.jobs.apply.programs.krl.grammar import Broken, Reader
+from aridcal.jobs.apply.programs.krl.grammar import MalformedProgram, Reader
 from aridcal.jobs.apply.programs.krl.meaning import Meaning
 from aridcal.jobs.apply.programs.krl.names import File, Names, file_of
-from aridcal.jobs.apply.programs.krl.noting import Mention, Said
+from aridcal.jobs.apply.programs.krl.noting import Mention, ProjectFacts
 from aridcal.jobs.apply.programs.krl.points import Points
-from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Function, Move, Unclear, Variable
+from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Function, Move, UnclearStatement, Variable
 from aridcal.jobs.apply.programs.krl.values import Element, foot
 from aridcal.jobs.apply.programs.krl.writing import END_OF_FILE
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE
 from aridcal.jobs.apply.programs.uses import Frame, Ledger, line_name, product
-from aridcal.jobs.apply.programs.walk import Body, Call, Choice, Repeat, State, Step, TooLong, Unknown, Walk
+from aridcal.jobs.apply.programs.walk import Body, Call, Choice, ProgramState, Repeat, Step, TooManyWays, Unknown, Walk
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]|\r(?!\n)")
 """Letters that end no line on one system and do on another, or none at all."""
@@ -38,7 +38,7 @@ _NUMBERED = re.compile(r"[+-]?\d{1,4}")
 _INDEXED = re.compile(r"([\w$]+)\[(\d{1,4})\]")
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project.
 
     Args:
@@ -57,12 +57,14 @@ def read(project: Project, cell: Cell) -> Reading:
     meaning = Meaning(said, names, points, constants, begin)
     try:
         _walk(said, meaning, files, points)
-    except TooLong:
-        return Reading(_left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed"))
+    except TooManyWays:
+        return ProgramReading(
+            _left_alone(files, said, names, spoilt, cell, "the program has more ways than can be followed")
+        )
     broken = [target for file, place, why in said.broken for target in _of_broken(file, place, why)]
     notes = tuple(_notes(said, constants, meaning))
     del said, names, constants, begin, meaning  # a long program's are larger than its targets
-    return Reading([*points.targets(), *broken], notes)
+    return ProgramReading([*points.targets(), *broken], notes)
 
 
 def context(path: Path) -> list[Path]:
@@ -100,9 +102,9 @@ def _without_marks(text: str) -> str:
     return text.rstrip(END_OF_FILE).ljust(len(text))
 
 
-def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
+def _parsed(files: Sequence[File]) -> tuple[ProjectFacts, Names]:
     """All that files say: data lists first, which say what names of the programs are."""
-    said, names = Said(), Names()
+    said, names = ProjectFacts(), Names()
     sound = []
     for file in files:
         odd = _CONTROL.search(file.code.text)
@@ -123,18 +125,20 @@ def _parsed(files: Sequence[File]) -> tuple[Said, Names]:
                 reader.data()
             else:
                 reader.program()
-        except Broken as problem:
+        except MalformedProgram as problem:
             place, why = problem.args
             said.broken.append((file, place, why))
     for file, place, why in said.broken:
-        unclear = Unclear(f"{file.code.name} line {file.code.line(place)} {why}: nothing of the file is understood")
+        unclear = UnclearStatement(
+            f"{file.code.name} line {file.code.line(place)} {why}: nothing of the file is understood"
+        )
         for match in file.heads():
             said.bodies[f"{file.index}/{match.group('name')}"] = [Step(unclear)]
     return said, names
 
 
 def _values(
-    files: Sequence[File], said: Said, names: Names, frames: KnownFrames
+    files: Sequence[File], said: ProjectFacts, names: Names, frames: KnownFrames
 ) -> tuple[dict[Element, object], dict[Element, object]]:
     """Values of data lists and of --frames: those that stay for ever, and those that hold when a program begins."""
     stated = _stated(frames, foot(said))
@@ -195,7 +199,7 @@ def _stated(frames: KnownFrames, world_foot: Frame | Unknown) -> dict[Element, o
     return values
 
 
-def _spoilt(files: Sequence[File], said: Said) -> dict[tuple[int, int], str]:
+def _spoilt(files: Sequence[File], said: ProjectFacts) -> dict[tuple[int, int], str]:
     """Why numbers at places of the text must stay: something else than a move uses them."""
     by_key: dict[str, list[tuple[Variable, Aggregate]]] = {}
     for _, variable, value in said.points:
@@ -241,14 +245,14 @@ def _may_be(one: Variable, other: Variable) -> bool:
     return one.worked_out or other.worked_out or one.index is None or other.index is None or one.index == other.index
 
 
-def _declare(said: Said, names: Names, points: Points) -> None:
+def _declare(said: ProjectFacts, names: Names, points: Points) -> None:
     """Name all points that variables of our files hold, used or not."""
     for file, variable, value in said.points:
         if file.ours and names.types.get(variable.key) in table.POINTS:
             points.declare(variable.shown, value)
 
 
-def _walk(said: Said, meaning: Meaning, files: Sequence[File], points: Points) -> None:
+def _walk(said: ProjectFacts, meaning: Meaning, files: Sequence[File], points: Points) -> None:
     """Walk all routines that nothing calls, then those that interrupts and triggers call."""
     walk = Walk(said.bodies, meaning)
     volatile: list[tuple[list[tuple[str, Hashable]], str]] = []
@@ -264,7 +268,7 @@ def _walk(said: Said, meaning: Meaning, files: Sequence[File], points: Points) -
     called = {name for body in said.bodies.values() for name in _called(body)}
     entries = [key for key in _ordered(said.bodies, files) if key not in called and key not in threads]
 
-    def enter(key: str, state: State) -> None:
+    def enter(key: str, state: ProgramState) -> None:
         for keys, why in volatile:
             state.volatile(keys, why)
         walk.enter(key, state)
@@ -297,7 +301,7 @@ def _called(body: Body) -> Iterator[str]:
 
 def _left_alone(
     files: tuple[File, ...],
-    said: Said,
+    said: ProjectFacts,
     names: Names,
     spoilt: dict[tuple[int, int], str],
     cell: Cell,
@@ -337,7 +341,7 @@ def _of_broken(file: File, place: int, why: str) -> Iterator[Target]:
         yield Target(file.code.line(match.start()), shown, "pose", NONE, reason, file=file.index)
 
 
-def _notes(said: Said, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:
+def _notes(said: ProjectFacts, constants: Mapping[Element, object], meaning: Meaning) -> Iterator[str]:
     """What was taken for granted."""
     yield "BAS and the functions of inline forms are taken to do what KUKA's bas.src does"
     if ("$robroot", None) not in constants:

@@ -236,7 +236,7 @@ class Product:
 
 
 @dataclass(frozen=True, slots=True)
-class Worked:
+class Computation:
     """Anything else that is worked out.
 
     Attributes:
@@ -246,7 +246,7 @@ class Worked:
     parts: tuple[Expression, ...]
 
 
-Expression = Number | Text | Bits | Word | Variable | Aggregate | Function | Product | Worked
+Expression = Number | Text | Bits | Word | Variable | Aggregate | Function | Product | Computation
 
 
 def variables(expression: Expression) -> Iterator[Variable]:
@@ -269,7 +269,7 @@ def parts(expression: Expression) -> tuple[Expression, ...]:
         return expression.arguments
     if isinstance(expression, Product):
         return expression.factors
-    return expression.parts if isinstance(expression, Worked) else ()
+    return expression.parts if isinstance(expression, Computation) else ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +321,7 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Unclear:
+class UnclearStatement:
     """A statement that the tables do not have.
 
     Attributes:
@@ -332,11 +332,11 @@ class Unclear:
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class ControllerCall:
     """A statement of the tables that calls a routine of the controller."""
 
     call: Function
     line: str
 
 
-Statement = Assignment | Move | Unclear | Carried
+Statement = Assignment | Move | UnclearStatement | ControllerCall

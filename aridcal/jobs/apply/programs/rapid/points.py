@@ -11,9 +11,9 @@ from aridcal.jobs.apply.programs.axes import DEGREE, MILLIMETRE
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import ABB
 from aridcal.jobs.apply.programs.postures import rapid_words
-from aridcal.jobs.apply.programs.project import Source
+from aridcal.jobs.apply.programs.project import SourceFile
 from aridcal.jobs.apply.programs.rapid.values import NOT_USED, Literal
-from aridcal.jobs.apply.programs.targets import Branch, Place, Target
+from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Numbers
 from aridcal.jobs.apply.programs.uses import Use
 
@@ -28,7 +28,7 @@ class Targets:
     """
 
     cell: Cell
-    sources: tuple[Source, ...]
+    sources: tuple[SourceFile, ...]
 
     @cached_property
     def _free(self) -> np.ndarray:
@@ -46,7 +46,7 @@ class Targets:
             if n.value < NOT_USED
         ]
 
-    def target(self, own: Literal, use: Use, beside: tuple[Place, ...]) -> Target:
+    def target(self, own: Literal, use: Use, beside: tuple[PoseReference, ...]) -> Target:
         """The target of a point that a program uses.
 
         Args:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aridcal.jobs.apply.programs.notations import ABB, MILLI, inverse, pose
-from aridcal.jobs.apply.programs.rapid.grammar import Declared, fold
+from aridcal.jobs.apply.programs.rapid.grammar import DataDeclaration, fold
 from aridcal.jobs.apply.programs.rapid.table import FRAME_TYPES
 from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Numbers
 from aridcal.jobs.apply.programs.uses import HERE, Frame
@@ -51,7 +51,7 @@ class Datum:
         value: That its declaration says; None until that is worked out.
     """
 
-    declared: Declared
+    declared: DataDeclaration
     code: Code
     address: tuple[str, str]
     type: str

@@ -6,13 +6,13 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 
-from aridcal.jobs.apply.programs.cell import Cell, Reading
+from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NONE, Code
 from aridcal.jobs.apply.programs.urscript.grammar import (
     File,
-    Malformed,
+    MalformedProgram,
     Parser,
     Routine,
     code_of,
@@ -21,7 +21,7 @@ from aridcal.jobs.apply.programs.urscript.grammar import (
 from aridcal.jobs.apply.programs.urscript.meaning import DEFAULT, THREADED, Meaning
 from aridcal.jobs.apply.programs.urscript.scopes import Scopes
 from aridcal.jobs.apply.programs.urscript.table import MOVES
-from aridcal.jobs.apply.programs.walk import State, TooLong, Walk
+from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Walk
 
 BASE_NOTE = "poses are taken in the link `base` of the URDF, as the controller counts them; --frames may state another"
 
@@ -30,7 +30,7 @@ LONE_RETURN = re.compile(r"\r(?!\n)")
 MOVE = re.compile(rf"\b(?:{'|'.join(MOVES)})\s*+\(")
 
 
-def read(project: Project, cell: Cell) -> Reading:
+def read(project: Project, cell: Cell) -> ProgramReading:
     """Targets of a project.
 
     Raises:
@@ -44,9 +44,9 @@ def read(project: Project, cell: Cell) -> Reading:
     meaning = Meaning(codes, project, cell, routines, Scopes(listed, one), [file.titles for file in listed])
     try:
         _walked(meaning, files)
-    except (TooLong, RecursionError):
+    except (TooManyWays, RecursionError):
         why = "the program has too many ways, or calls too deep, to be followed"
-        return Reading([target for code in codes for target in _all_left(code, why)])
+        return ProgramReading([target for code in codes for target in _all_left(code, why)])
     finally:
         meaning.walk = (
             None  # they hold each other, as routines and the names in them do, and all that was made of the text
@@ -54,7 +54,7 @@ def read(project: Project, cell: Cell) -> Reading:
         for routine in routines.values():
             routine.body = ()
     notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
-    return Reading([*meaning.targets(), *left], notes)
+    return ProgramReading([*meaning.targets(), *left], notes)
 
 
 def comment(text: str, sentence: str) -> tuple[int, str]:
@@ -82,7 +82,7 @@ def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target
             others.setdefault(name, []).extend(elsewhere)
         try:
             files[code.file] = Parser(code, {**others, **own}, keys[code.file]).file()
-        except Malformed as problem:
+        except MalformedProgram as problem:
             left += _all_left(code, f"{code.name} is no whole program: {problem}")
         else:
             mine = set(keys[code.file].values())
@@ -115,10 +115,10 @@ def _walked(meaning: Meaning, files: dict[int, File]) -> None:
         state = meaning.begin()
         walk.enter(top.key, state)
         for routine in _entries(others, called, walk):
-            walk.enter(routine.key, State(state))
+            walk.enter(routine.key, ProgramState(state))
     for routine in routines.values():
         if routine.kind == "thread":
-            state = State()
+            state = ProgramState()
             state.forget_all(THREADED)
             walk.enter(routine.key, state)
 
