@@ -34,8 +34,8 @@ from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.trials import load_study
-from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.jobs.prepare.campaign_text import draft
 from aridcal.jobs.prepare.guesses import nobody

@@ -48,7 +48,7 @@ from aridcal.jobs.plan.travel import short_order
 from aridcal.system.errors import OutputError
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.wording import enumerated
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import ENDINGS, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 

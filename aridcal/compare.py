@@ -27,7 +27,7 @@ from aridcal.jobs.history.comparison import Comparison, compare, document, lines
 from aridcal.pages.compare_page import compare_page
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 FILES = frozenset({"compare.html", "compare.json"})

@@ -60,7 +60,7 @@ from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CampaignError, OutputError, printable
 from aridcal.system.progress import SHOWN_REMARKS, Screen, told_on
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import ENDINGS, table_file, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 

@@ -43,9 +43,9 @@ from rich.text import Text
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.files.campaign import load_campaign, nominal_robot
-from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.discrimination import duel_lines
 from aridcal.jobs.plan.pose_design import Plan, PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.jobs.plan.row_exchange import Criterion
 from aridcal.runs.plan_files import MOST_PLANNED, PLAN_ENDINGS, check_endings, check_outputs, write_plan
 from aridcal.system.errors import OutputError

@@ -38,7 +38,7 @@ from aridcal.system.errors import AridcalError, MeasurementError, listed, printa
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.regular_files import SETTINGS, read_file
 from aridcal.system.reading.user_names import check_name, path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 

@@ -36,7 +36,7 @@ from aridcal.jobs.fleet.run_table import NAME
 from aridcal.runs.fleet_run import PAGE, calibrated_fleet, summary
 from aridcal.system.progress import told_on
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 if TYPE_CHECKING:
     pass

@@ -36,7 +36,7 @@ from aridcal.pages.history_page import (
 )
 from aridcal.system.progress import Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_table
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 

@@ -46,10 +46,10 @@ from aridcal.jobs.head1992.observations import CACHE
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS, write_folder
 from aridcal.system.errors import OutputError, shortened
 from aridcal.system.progress import told_on
-from aridcal.system.reading.freed import held
+from aridcal.system.reading.memory_release import held
 from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import claimed
 
 if TYPE_CHECKING:

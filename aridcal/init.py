@@ -21,7 +21,7 @@ from aridcal.jobs.prepare.guesses import nobody
 from aridcal.runs.proposal import tell
 from aridcal.system.errors import OutputError, printable, shortened
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
 

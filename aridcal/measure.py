@@ -28,7 +28,7 @@ from aridcal.pages.drawing.html import tag
 from aridcal.system.errors import AridcalError, printable, shortened
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 

@@ -32,13 +32,13 @@ from aridcal.jobs.boards.camera_frames import png_file
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, camera_file, intrinsics
 from aridcal.jobs.merge.camera_images import pictured
-from aridcal.jobs.merge.merging import merged
+from aridcal.jobs.merge.log_rows import merged
 from aridcal.jobs.prepare.guesses import nobody
 from aridcal.pages.merge_page import merge_page
 from aridcal.runs.log_merge import Logs, read_logs, tell
 from aridcal.system.progress import SHOWN_REMARKS
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import table_file
 from aridcal.system.writing.whole_files import atomic_folder, atomic_table, claimed, claimed_table
 

@@ -32,12 +32,12 @@ from aridcal.command_line import (
     screens,
 )
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_runs import NAME
+from aridcal.jobs.fleet.study_records import NAME
 from aridcal.jobs.fleet.trials import load_study
 from aridcal.runs.study_run import PAGE, repeated, summary
 from aridcal.system.progress import told_on
 from aridcal.system.reading.user_names import path_argument
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 if TYPE_CHECKING:
     pass

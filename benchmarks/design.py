@@ -28,11 +28,11 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.read import load_measurements
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates
 from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, PlanRequest, question
-from aridcal.jobs.plan.refine import RefinedCandidates, refined
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
 from aridcal.jobs.plan.row_exchange import best_choice, exchanged, rms_sigma, worst_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import with_usual_effects

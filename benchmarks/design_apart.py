@@ -23,9 +23,9 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, rows_like, targets_of
 from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.usual_effects import with_pair
 
 TOP = Path(__file__).resolve().parents[1]

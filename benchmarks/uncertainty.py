@@ -41,7 +41,7 @@ from aridcal.engine.trust.uncertainty import with_noise_seen
 from aridcal.engine.trust.workspace import knowledge
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify, score
-from aridcal.jobs.calibrate.region import wanted
+from aridcal.jobs.calibrate.tolerance_region import wanted
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import SILENT
 

@@ -19,7 +19,7 @@ import aridcal.init
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.files.formats.makers import maker
-from aridcal.files.formats.numbers_seen import is_number, marks
+from aridcal.files.formats.number_marks import is_number, marks
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.campaign_text import draft

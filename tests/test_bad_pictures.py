@@ -592,8 +592,8 @@ def test_names_that_utf_8_has_not_are_written_somehow(
 def test_a_thinned_scene_keeps_the_flagged_rows_and_says_so(
     outcome: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aridcal.pages.drawing.thinned.MOST_DRAWN", 20)
-    monkeypatch.setattr("aridcal.pages.drawing.thinned.SOUND_DRAWN", 4)
+    monkeypatch.setattr("aridcal.pages.drawing.drawn_rows.MOST_DRAWN", 20)
+    monkeypatch.setattr("aridcal.pages.drawing.drawn_rows.SOUND_DRAWN", 4)
     odd = np.isin(np.arange(len(outcome.outlier)), [1, 2, 5, 7, len(outcome.outlier) - 1])
     drawn = scene.scene(replace(outcome, outlier=odd))
     assert sorted(drawn.line[drawn.outlier].tolist()) == sorted(outcome.measurements.origin.line[odd].tolist())

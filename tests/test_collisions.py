@@ -14,8 +14,8 @@ from aridcal.engine.robot.chain import Robot, load_robot, parse_robot
 from aridcal.engine.robot.collisions import bodies_of, touches
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 
 LENGTHS, RADIUS = (0.5, 0.4, 0.4), 0.1
 

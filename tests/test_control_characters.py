@@ -13,8 +13,8 @@ from rich.table import Table
 
 from aridcal.__main__ import main
 from aridcal.command_line import run, screens
-from aridcal.pages.drawing.frame import filled
 from aridcal.pages.drawing.html import tag
+from aridcal.pages.drawing.page_frame import filled
 from aridcal.pages.drawing.plot import text
 from aridcal.system.errors import AridcalError, printable_lines
 from aridcal.system.progress import told_on

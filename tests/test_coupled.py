@@ -19,7 +19,7 @@ from aridcal.engine.corrections.catalogue import KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings, covariate_table
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.engine.robot.drive import StatedJoints

@@ -21,11 +21,11 @@ from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import crosses
 from aridcal.jobs.plan.configurations import draw_candidates, targets_of
 from aridcal.jobs.plan.plan_coverage import observability
 from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design, question
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.row_exchange import RowChoice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
 from aridcal.jobs.plan.target_region import region, region_readings
 from aridcal.jobs.plan.travel import length, short_order, times

@@ -14,12 +14,12 @@ from aridcal.engine.inverse.reachable import limits_of
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import allowed, draw_candidates
 from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.plan_coverage import Sigma, suspects
 from aridcal.jobs.plan.pose_design import Plan, PlanRequest, design, question
-from aridcal.jobs.plan.refine import RefinedCandidates, refined
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
 from aridcal.jobs.plan.row_exchange import best_choice
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import USUAL_MOTIONS, with_stated_effects, with_usual_effects

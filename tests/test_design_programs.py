@@ -18,10 +18,10 @@ from aridcal.engine.rows.approach import approach
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
 from aridcal.jobs.plan.approaches import BACK_ANGLE, as_they_come, from_both_sides
-from aridcal.jobs.plan.beforehand import beforehand
 from aridcal.jobs.plan.configurations import targets_of
 from aridcal.jobs.plan.joint_moves import PROGRAMS, Moves, check_program, moves, program
 from aridcal.jobs.plan.pose_design import PlanRequest, as_table, design
+from aridcal.jobs.plan.prior_knowledge import beforehand
 from aridcal.system.errors import OutputError
 
 SIX = 6 * ("revolute",)

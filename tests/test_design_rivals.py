@@ -17,11 +17,11 @@ from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.plan import discrimination
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, rows_like
 from aridcal.jobs.plan.discrimination import Duel, duel_lines
 from aridcal.jobs.plan.information import so_far, told, whitened
 from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.usual_effects import with_pair
 from aridcal.pages.plan_page import plan_page
 

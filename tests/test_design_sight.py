@@ -15,11 +15,11 @@ from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.robot.collisions import lines_touch
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.plan import pose_design as planning
-from aridcal.jobs.plan.beforehand import PlanSetup, beforehand
 from aridcal.jobs.plan.clearance import apart
 from aridcal.jobs.plan.configurations import draw_candidates, in_base, in_sight, targets_of
 from aridcal.jobs.plan.information import _whitened, problem
 from aridcal.jobs.plan.pose_design import PlanRequest, design
+from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.system.errors import AridcalError, CampaignError
 

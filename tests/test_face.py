@@ -26,7 +26,7 @@ import aridcal
 from aridcal import api
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import parse_settings
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import here
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.runs.result_folder import RESULT_FILES

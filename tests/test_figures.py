@@ -9,6 +9,7 @@ import pytest
 from lxml import etree
 from markupsafe import Markup
 
+from aridcal.pages.drawing.drawn_rows import MOST_DRAWN, SOUND_DRAWN, thinned
 from aridcal.pages.drawing.fields import LEVELS, SQUARES, color_steps, field
 from aridcal.pages.drawing.figures import (
     COLOURS,
@@ -23,7 +24,6 @@ from aridcal.pages.drawing.figures import (
 )
 from aridcal.pages.drawing.html import noting
 from aridcal.pages.drawing.plot import Area, LegendEntry, Scale, along, legend, scale, written
-from aridcal.pages.drawing.thinned import MOST_DRAWN, SOUND_DRAWN, thinned
 from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
 
 RNG = np.random.default_rng(0)

@@ -25,8 +25,8 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.fleet import main
 from aridcal.jobs.fleet import work
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import EngineGone, WorkFailure, here
 from aridcal.jobs.fleet.keys import files_of, inputs_of
+from aridcal.jobs.fleet.local_engine import EngineGone, WorkFailure, here
 from aridcal.jobs.fleet.members import members
 from aridcal.jobs.fleet.run_record import SCHEMA, row_in
 from aridcal.jobs.fleet.run_table import merged, read_rows

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aridcal.jobs.fleet.drifting import chance_of, drifting, freedom_of
+from aridcal.jobs.fleet.drifts import chance_of, drifting, freedom_of
 from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, quantile_of_largest, standing_out
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS

@@ -13,7 +13,7 @@ from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import Geometry
-from aridcal.engine.search.declared import CONFOUNDED
+from aridcal.engine.search.declared_effects import CONFOUNDED
 from aridcal.engine.search.loop import CalibratedArm
 from aridcal.engine.trust.gains import explain
 from aridcal.jobs.head1992.detections import head_things

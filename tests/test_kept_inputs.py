@@ -12,7 +12,7 @@ import yaml
 
 from aridcal.__main__ import COMMANDS, main
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 
 ROOT = Path(__file__).parents[1]
 

@@ -17,7 +17,7 @@ from aridcal.calibration import Calibration
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.labels import MOST_LABELS, label_columns
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.kinematics import tip_frames

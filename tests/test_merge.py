@@ -20,7 +20,7 @@ from aridcal.jobs.merge import averages, bags
 from aridcal.jobs.merge.alignment import Moves, jump
 from aridcal.jobs.merge.clocks import correlations
 from aridcal.jobs.merge.log import Log
-from aridcal.jobs.merge.merging import MergeResult
+from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.merge.standstills import standstills
 from aridcal.jobs.prepare.guesses import nobody
 from aridcal.merge import main

@@ -12,7 +12,7 @@ import robots
 from made_logs import Made
 
 import aridcal
-from aridcal.jobs.merge.merging import MergeResult
+from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.prepare.guesses import nobody
 from aridcal.runs.log_merge import joined
 

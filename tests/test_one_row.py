@@ -13,7 +13,7 @@ from aridcal.engine.corrections.effect_kind import ObservedRows, bumps
 from aridcal.engine.corrections.loads import Payload, Surroundings, bearing_components, covariate_table
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.system.errors import CovariateNotFound, MeasurementError

@@ -18,7 +18,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.instruments.pose import rotation_vector
 from aridcal.engine.inverse.many_poses import ArmRows, InverseRows
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.jobs.apply.programs import branches, correct

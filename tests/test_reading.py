@@ -103,7 +103,7 @@ def test_nobody_else_reads_a_users_file() -> None:
             if attribute in {"read_bytes", "read_text", "fromfile", "imread", "read_pickle", "genfromtxt", "loadtxt"}:
                 found.add(path.relative_to(PACKAGE).as_posix())
     assert found <= {
-        "pages/drawing/frame.py",
+        "pages/drawing/page_frame.py",
         "pages/certificate.py",  # its own folder's files, and again those that were read
         "pages/drawing/one_page.py",
         "pages/drawing/scene.py",

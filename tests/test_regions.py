@@ -23,7 +23,7 @@ from aridcal.engine.corrections.loads import Surroundings, covariate_table
 from aridcal.engine.corrections.regional_kind import IN_SPACE, ball_field, far_from_nodes, spread_out, widths
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
 from aridcal.engine.corrections.smooth import Kernel, samples_root, smooth_precision
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import parse_robot
 from aridcal.engine.robot.kinematics import tip_frames

@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.confounded import weights
 from aridcal.engine.search.evidence import Score
+from aridcal.engine.search.rival_models import weights
 from aridcal.engine.trust.rival_predictions import Rival
 from aridcal.files.query import load_query
 from aridcal.jobs.apply.joint_commands import compensate

@@ -18,9 +18,9 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.fleet import trials as room
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import here
 from aridcal.jobs.fleet.study_figures import found_again, median, points, scatters, share
-from aridcal.jobs.fleet.study_runs import SCHEMA, StudyResult, known_runs, studied
+from aridcal.jobs.fleet.study_records import SCHEMA, StudyResult, known_runs, studied
 from aridcal.jobs.fleet.trials import Case, Trial, half, load_study, sought, trials, tried
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign

@@ -29,7 +29,7 @@ from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import LENGTHS, SMALL_ANGLES, with_unit
 from aridcal.files.yaml_file import parse_settings
 from aridcal.jobs.calibrate.pipeline import identify as run
-from aridcal.jobs.calibrate.region import region
+from aridcal.jobs.calibrate.tolerance_region import region
 from aridcal.pages.drawing.words import kept_in_words
 from aridcal.system.errors import CampaignError
 

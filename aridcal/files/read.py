@@ -34,7 +34,7 @@ from aridcal.files.routes import needed_columns, numbered, routes_of
 from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, known_of, with_trackers
 from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest, shortened
 from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 
 if TYPE_CHECKING:
     from aridcal.files.tables import AnyTable, Table

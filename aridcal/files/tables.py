@@ -23,8 +23,8 @@ from aridcal.system.reading.dialect import PLAIN, Dialect
 from aridcal.system.reading.numerals import NO_NUMBER
 from aridcal.system.reading.regular_files import TABLE, Limit, read_file
 from aridcal.system.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
+from aridcal.system.reading.tables_in_dialect import read_written
 from aridcal.system.reading.user_names import check_path
-from aridcal.system.reading.written import read_written
 
 if TYPE_CHECKING:
     import pandas as pd

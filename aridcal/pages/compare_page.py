@@ -11,8 +11,8 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.history.comparison import Comparison, constants, lines, p_in_words, worst
 from aridcal.pages.drawing.figures import histogram
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.report.page import drawn
 from aridcal.system.wording import number, plus_minus, reading_in_words, shown_in
 

@@ -12,15 +12,15 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.jobs.fleet.drifting import Drift, drifting
+from aridcal.jobs.fleet.drifts import Drift, drifting
 from aridcal.jobs.fleet.outliers import FEWEST_ROBOTS, OutlyingFigure, makes, standing_out
 from aridcal.jobs.fleet.row_figures import are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import Row
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.pages.drawing.figures import falling
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.fleet_sections import drawn
 from aridcal.system.errors import shortened
 from aridcal.system.wording import counted, fixed, number, plus_minus, shown_in

@@ -8,14 +8,14 @@ from typing import Any
 
 import pandas as pd
 
-from aridcal.jobs.fleet.drifting import drifting
+from aridcal.jobs.fleet.drifts import drifting
 from aridcal.jobs.fleet.outliers import OutlyingFigure, standing_out
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, found_again, points, scatters
-from aridcal.jobs.fleet.study_runs import SCHEMA as OF_RUNS
-from aridcal.jobs.fleet.study_runs import StudyResult
+from aridcal.jobs.fleet.study_records import SCHEMA as OF_RUNS
+from aridcal.jobs.fleet.study_records import StudyResult
 
 ROBOT_COLUMNS = ("robot", "status", "measured", "rows", "verdict", "error")
 """Behind them stand the errors, RMS on held-out rows: ``final_position_mm`` for instance."""

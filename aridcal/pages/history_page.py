@@ -13,8 +13,8 @@ from aridcal.jobs.history.comparison import p_in_words
 from aridcal.jobs.history.trend import FEWEST_RUNS
 from aridcal.jobs.history.wear import DAY_ZERO, ConstantHistory, History, RobotHistory
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.drawing.timelines import TimeStretch, sparkline, timeline
 from aridcal.pages.report.page import drawn
 from aridcal.system.wording import counted, enumerated, number, plus_minus, shown_in

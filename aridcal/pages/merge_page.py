@@ -8,11 +8,11 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal import __version__
-from aridcal.jobs.merge.merging import MergeResult
+from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.merge.standstills import speeds
 from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.drawing.plot import (
     EDGE,
     GREY,

@@ -15,8 +15,8 @@ from aridcal.jobs.plan.plan_coverage import Sigma
 from aridcal.jobs.plan.pose_design import Plan
 from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import coverage, falling
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.system.wording import counted, number, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}

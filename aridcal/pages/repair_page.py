@@ -13,10 +13,10 @@ from aridcal.engine.instruments.channels import Channel, norms
 from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Repair, RepairChange
-from aridcal.pages.drawing.frame import Section, card, empty_page, framed_page
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
 from aridcal.pages.drawing.html import Content, attempt, bullets, noting, table, tag
+from aridcal.pages.drawing.page_frame import Section, card, empty_page, framed_page
 from aridcal.pages.report.identified_section import identified
 from aridcal.pages.report.limits_section import use
 from aridcal.pages.report.page import drawn, foot

@@ -11,10 +11,10 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
 from aridcal.jobs.fleet.study_figures import CONFIDENCE, CaseFigures, Estimate, found_again, points, scatters
-from aridcal.jobs.fleet.study_runs import StudyResult
+from aridcal.jobs.fleet.study_records import StudyResult
 from aridcal.pages.drawing.figures import COLOURS, banded
-from aridcal.pages.drawing.frame import framed_page, sections
 from aridcal.pages.drawing.html import Content, figures, table, tag
+from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.fleet_sections import drawn
 from aridcal.system.errors import shortened
 from aridcal.system.wording import counted, number, shown_in

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import here
 from aridcal.jobs.fleet.members import TAKEN, Member
 from aridcal.jobs.fleet.runs import FleetResults, computed, planned
 from aridcal.pages.fleet_page import fleet_page

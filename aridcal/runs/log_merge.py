@@ -9,13 +9,13 @@ from pathlib import Path
 import pandas as pd
 
 from aridcal.engine.robot.chain import Robot, load_robot
-from aridcal.engine.robot.named import described
+from aridcal.engine.robot.described_robots import described
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.merge import bags, log_files
 from aridcal.jobs.merge.bag_camera import BagCamera, Take
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
-from aridcal.jobs.merge.merging import MergeResult, merged
+from aridcal.jobs.merge.log_rows import MergeResult, merged
 from aridcal.jobs.prepare.guesses import Choose, Chooser, nobody
 from aridcal.pages.merge_page import lines
 from aridcal.system.errors import AridcalError, RobotError

@@ -16,7 +16,7 @@ from aridcal.jobs.plan.joint_moves import PROGRAMS, WAYPOINTS, check_program, mo
 from aridcal.jobs.plan.pose_design import Plan, as_table
 from aridcal.pages.plan_page import plan_page
 from aridcal.system.errors import OutputError
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import ENDINGS, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home
 

@@ -15,15 +15,15 @@ from aridcal.jobs.maintain.answers import check_lines, left_out_line
 from aridcal.jobs.maintain.checking import CheckResult, check
 from aridcal.jobs.maintain.documents import document, figures_before, lineage, residuals
 from aridcal.jobs.maintain.new_rows import read_new_rows
-from aridcal.jobs.maintain.outcomes import RepairOutcomes, repair_outcomes
 from aridcal.jobs.maintain.repair import Repair, repaired
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes, repair_outcomes
 from aridcal.pages.drawing.scene import write_scene
 from aridcal.pages.repair_page import write_repair_report
 from aridcal.runs.result_folder import RESULT_FILES, RESULT_FOLDERS
 from aridcal.system.errors import CampaignError, OutputError
 from aridcal.system.progress import SILENT, Progress
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.whole_files import atomic_folder, claimed
 
 SCORED_ON = "where it was calibrated, against the repaired model"

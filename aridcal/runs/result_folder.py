@@ -65,7 +65,7 @@ def write_folder(
     from aridcal.pages.certificate import write_certificate
     from aridcal.pages.drawing.scene import write_scene
     from aridcal.pages.report.page import write_report
-    from aridcal.system.reading.freed import give_back
+    from aridcal.system.reading.memory_release import give_back
 
     give_back()
     with atomic_folder(folder, RESULT_FILES | RESULT_FOLDERS) as stage:

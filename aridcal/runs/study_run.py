@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from aridcal.files.campaign import Campaign
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.in_process import here
+from aridcal.jobs.fleet.local_engine import here
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_runs import NAME, StudyResult, known_runs, studied
+from aridcal.jobs.fleet.study_records import NAME, StudyResult, known_runs, studied
 from aridcal.jobs.fleet.trials import sought, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.pages.study_page import study_page

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dposv
 
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 
 # A search ends when its last step moves the target by less, [m] and [rad]: a tenth of what counts as reached.
 STEP_TOLERANCE = 1e-7

@@ -22,10 +22,9 @@ from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
-from aridcal.engine.search.confounded import RivalModel, tied, twins
 from aridcal.engine.search.covariate_table import look
 from aridcal.engine.search.curves import reshaped
-from aridcal.engine.search.declared import tied_to_frames, with_declared, with_fields
+from aridcal.engine.search.declared_effects import tied_to_frames, with_declared, with_fields
 from aridcal.engine.search.exact import (
     FEWEST_PLACES,
     Start,
@@ -36,10 +35,11 @@ from aridcal.engine.search.exact import (
     refit_constants,
     worth,
 )
-from aridcal.engine.search.held_back import missed
+from aridcal.engine.search.held_back_trials import missed
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.engine.search.ranking import is_small, rank
+from aridcal.engine.search.rival_models import RivalModel, tied, twins
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, activate, solve_state
 from aridcal.engine.search.stepwise import StepwiseResult, confirmed, exchanged, search

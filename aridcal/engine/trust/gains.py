@@ -20,9 +20,9 @@ from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.levels import FAINT, FOLDS
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.confounded import RivalModel
 from aridcal.engine.search.diagnose import SearchResult
 from aridcal.engine.search.noise_tests import Clue
+from aridcal.engine.search.rival_models import RivalModel
 from aridcal.engine.search.scoring import held_back
 
 GRID = 160

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from aridcal.files.formats.numbers_seen import is_number
+from aridcal.files.formats.number_marks import is_number
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import BLANKS
-from aridcal.system.reading.written import is_units, joined, split_line, uncommented
+from aridcal.system.reading.tables_in_dialect import is_units, joined, split_line, uncommented
 
 SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 """Tried in this order; of two that part the same numbers the first, blanks only where nothing else parts any."""

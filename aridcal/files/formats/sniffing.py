@@ -15,14 +15,14 @@ from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.encodings import encoding
 from aridcal.files.formats.layout import TableLayout, layout, list_parts, list_size
 from aridcal.files.formats.makers import maker
-from aridcal.files.formats.numbers_seen import is_number, marks
+from aridcal.files.formats.number_marks import is_number, marks
 from aridcal.system.errors import MeasurementError, listed
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dates import has_date, orders, seconds
 from aridcal.system.reading.dialect import PLAIN, Dates, Dialect
 from aridcal.system.reading.numerals import several
 from aridcal.system.reading.regular_files import Limit
-from aridcal.system.reading.written import LINE_END, decoded
+from aridcal.system.reading.tables_in_dialect import LINE_END, decoded
 
 LOOKED_AT = 3000
 """Lines that are looked at: more make nothing plainer."""

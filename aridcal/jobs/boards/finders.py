@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from aridcal.jobs.boards.bent_planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
 from aridcal.jobs.boards.patterns import (
     CIRCLE,
     AnyBoard,
@@ -23,7 +24,6 @@ from aridcal.jobs.boards.patterns import (
     modules,
     tag_names,
 )
-from aridcal.jobs.boards.planes import BentPlane, bent_plane, centre_of_area, homography, local, mapped
 from aridcal.jobs.boards.profiles import LEAST_CONTRAST, blurs, profiles, refined_quad, side_lines
 from aridcal.jobs.head1992.charuco import MIN_CORNERS, Board
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane

@@ -22,16 +22,16 @@ from aridcal.engine.instruments.channels import columns
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_causes import NoiseCause, NoiseCauses
-from aridcal.engine.trust.as_document import document
 from aridcal.engine.trust.certainty import as_document
 from aridcal.engine.trust.gains import NamedEffect
 from aridcal.engine.trust.iso9283 import document as iso_document
+from aridcal.engine.trust.second_look_document import document
 from aridcal.jobs.calibrate.measuring_head import MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification, errors
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.calibrate.urdf_files import write_urdf
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 from aridcal.system.writing.table_writer import csv_lines
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.declared import CONFOUNDED, NO_BETTER
+from aridcal.engine.search.declared_effects import CONFOUNDED, NO_BETTER
 from aridcal.engine.search.diagnose import SEARCHED, SearchResult
 from aridcal.engine.search.loop import (
     LEAST_FREEDOM,
@@ -47,12 +47,12 @@ from aridcal.jobs.calibrate.job_inputs import CalibrationJob, looked_again, read
 from aridcal.jobs.calibrate.limb_redundancies import limb_redundancies
 from aridcal.jobs.calibrate.measuring_head import lens_found, measuring_head
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification
-from aridcal.jobs.calibrate.region import region, wanted
+from aridcal.jobs.calibrate.tolerance_region import region, wanted
 from aridcal.jobs.calibrate.verdict import Verdict, decide, row_clues
 from aridcal.jobs.head1992.observations import Detections
 from aridcal.system.errors import MeasurementError, NotOfThisRobot
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 
 Judge = Callable[[Campaign, Robot, Dataset, Geometry | None], None]
 """Gets the rows and the fit of frames and constants, None if there is none; may refuse the rows and say why."""

@@ -19,7 +19,7 @@ from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.corrections.sights import TARGET, Sights
 from aridcal.engine.instruments.kinds import KINDS, labelled
 from aridcal.engine.inverse.one_pose import Command, InverseKinematics
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.many_rows import few
 from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Route, check_route, parse_robot, with_limbs

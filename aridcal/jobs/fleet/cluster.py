@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure, in_words
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure, in_words
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import Progress
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.keys import Inputs
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.members import Member
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row, failed_row, row_in
 from aridcal.jobs.fleet.run_table import latest, merged, read_rows, write_rows

@@ -48,7 +48,7 @@ from aridcal.engine.fit.normal_equations import across, pseudo_inverse
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.history.poses import OVER_TIME, seen_by_both
+from aridcal.jobs.history.compared_poses import OVER_TIME, seen_by_both
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.repair import unit_of
 from aridcal.system.wording import counted

@@ -15,8 +15,8 @@ from aridcal.jobs.maintain.hypotheses import Hypothesis
 from aridcal.jobs.maintain.likelihoods import NewRowsQuestion, covariance_of, likely
 from aridcal.jobs.maintain.new_rows import LEAST_SIGMA
 from aridcal.jobs.maintain.unknowns import WideModel
-from aridcal.jobs.plan.beforehand import bodies
 from aridcal.jobs.plan.clearance import clear
+from aridcal.jobs.plan.prior_knowledge import bodies
 
 NOT_REFUTED_SQUARES = 4.0
 """Squares by which another cause may fit worse and still not be refuted: two sigma."""

@@ -11,8 +11,8 @@ from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.jobs.calibrate.outcome import said
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
 from aridcal.jobs.maintain.checking import Cause, CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import RepairChange
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
 from aridcal.system.wording import enumerated
 
 LARGEST_ZERO_CHANGE = 0.03

@@ -17,8 +17,8 @@ from aridcal.jobs.calibrate.folder import finite, frames, parameters, residual_c
 from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.checking import CheckResult
-from aridcal.jobs.maintain.outcomes import RepairOutcomes
 from aridcal.jobs.maintain.repair import Repair
+from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import RESULT, read_file
 

@@ -31,7 +31,7 @@ from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.tails import log_density, weights
 from aridcal.engine.trust.wander import WanderProcesses, zero_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis
-from aridcal.jobs.maintain.realign import frame_start
+from aridcal.jobs.maintain.realignment import frame_start
 
 NOISE_FACTORS = (1.0, 1.3, 1.7, 2.2, 3.0, 4.0, 6.0, 10.0)
 """Times the known noise that new rows may scatter by: another day, another operator, ten times a broken instrument."""

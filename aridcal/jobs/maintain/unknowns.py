@@ -22,7 +22,7 @@ from aridcal.files.campaign import Frames as FrameChoice
 from aridcal.files.campaign import placed
 from aridcal.files.read import ONE_TARGET
 from aridcal.jobs.calibrate.saved_model import SolvedModel
-from aridcal.jobs.maintain.realign import frame_start
+from aridcal.jobs.maintain.realignment import frame_start
 from aridcal.system.errors import CampaignError
 
 SIGMA_OF_UNKNOWNS = 1.0

@@ -19,7 +19,7 @@ from aridcal.jobs.boards.camera_frames import thumbnail
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import BagCamera, Load
 from aridcal.jobs.merge.log_files import JointLog
-from aridcal.jobs.merge.merging import TIME, UnpairedStandstill
+from aridcal.jobs.merge.log_rows import TIME, UnpairedStandstill
 from aridcal.jobs.merge.standstills import Standstills, span_of, standstills
 from aridcal.system.errors import MeasurementError, printable
 

@@ -11,12 +11,12 @@ from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.files.quantities import TURNS
 from aridcal.files.tables import AnyTable, Table, path_of, read_tables
 from aridcal.jobs.merge.log import Log, in_order
-from aridcal.jobs.merge.others import OtherColumns, others_of
+from aridcal.jobs.merge.other_columns import OtherColumns, others_of
 from aridcal.jobs.prepare.column_names import match_joints, named, positions, unit
 from aridcal.jobs.prepare.condition_columns import COVARIATES, EPOCH
-from aridcal.jobs.prepare.dialects import dialects_of
 from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.orientation_columns import sensible
+from aridcal.jobs.prepare.table_formats import dialects_of
 from aridcal.system.errors import MeasurementError, listed
 
 LOG_RATES = (0.5, 2000.0)

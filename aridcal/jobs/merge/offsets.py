@@ -14,8 +14,8 @@ from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.log_files import JointLog
 from aridcal.jobs.merge.pairs import Pairs, pairs
 from aridcal.jobs.merge.standstills import Standstills, span_of
+from aridcal.jobs.prepare.campaign_proposal import SAMPLE_ROWS, STRANGE_SHARE
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
-from aridcal.jobs.prepare.propose import SAMPLE_ROWS, STRANGE_SHARE
 from aridcal.jobs.prepare.units_and_angles import Sample, readings
 from aridcal.system.errors import MeasurementError
 

@@ -15,9 +15,9 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.robot.chain import Route
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.clearance import clear, unobstructed
 from aridcal.jobs.plan.mounting import stands_above
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.system.errors import CampaignError
 
 DRAWING_ROUNDS = 40

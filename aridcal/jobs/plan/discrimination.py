@@ -24,9 +24,9 @@ from aridcal.engine.corrections.catalogue import KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.trust.workspace import LOOSE
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.jobs.plan.information import CandidateInformation, so_far, together, whitened
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 BHATTACHARYYA_DIVISOR = 8.0
 """Non-centrality over this in the exponent: Bhattacharyya's bound of the chance to be wrong."""

@@ -13,8 +13,8 @@ from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.trust.workspace import LOOSE, shifted
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 ASSUMED_SHARE = 0.1
 """Share of :data:`LOOSE` beyond which a sigma is that of what is assumed, not measured."""

@@ -9,9 +9,9 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.trust.workspace import LOOSE
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, targets_of
 from aridcal.jobs.plan.information import ASSUMED_SHARE, CandidateInformation
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.jobs.plan.row_exchange import RowChoice, rms_sigma, taken_away, worst_sigma
 
 CURVE_POINTS = 12

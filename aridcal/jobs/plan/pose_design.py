@@ -13,12 +13,12 @@ from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.orientations import column_of
 from aridcal.jobs.plan.approaches import Approaches, as_they_come, from_both_sides
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends, offers
 from aridcal.jobs.plan.discrimination import Duel, telling_apart
 from aridcal.jobs.plan.information import CandidateInformation, in_line, rows_of, target_columns, told
 from aridcal.jobs.plan.plan_coverage import PlanCoverage, Sigma, coverage, indices, sigma_of, told_sigma
-from aridcal.jobs.plan.refine import RefinedCandidates, refined
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
+from aridcal.jobs.plan.refinement import RefinedCandidates, refined
 from aridcal.jobs.plan.row_exchange import FEW, Criterion, RowChoice, best_choice, nested, rms_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.travel import short_order

@@ -15,8 +15,8 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.covariate_table import look
 from aridcal.files.campaign import EffectDeclaration
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.system.errors import CampaignError, nearest
 
 USUAL_MOTIONS = {

@@ -13,16 +13,16 @@ from typing import Any
 import pandas as pd
 import yaml
 
+from aridcal.engine.robot.described_robots import RobotDescription, described
 from aridcal.engine.robot.expand import plain_name, read_urdf
-from aridcal.engine.robot.named import RobotDescription, described
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import parse_settings
-from aridcal.jobs.prepare.dialects import best_dialect, dialects_of, say_table
+from aridcal.jobs.prepare.campaign_proposal import QUESTIONS, propose
 from aridcal.jobs.prepare.guesses import Choose, Chooser, Guess, Proposal
-from aridcal.jobs.prepare.propose import QUESTIONS, propose
+from aridcal.jobs.prepare.table_formats import best_dialect, dialects_of, say_table
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import Dialect
 from aridcal.system.reading.regular_files import URDF

@@ -30,7 +30,7 @@ from aridcal.files.quantities import POSITION
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
 from aridcal.jobs.head1992.render import Optics
-from aridcal.jobs.simulate.measuring import measured, targets
+from aridcal.jobs.simulate.measurements import measured, targets
 from aridcal.jobs.simulate.scenario import Scenario, Truth, check_scenario, columns_of
 from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
 from aridcal.jobs.simulate.true_things import RealThings, documents

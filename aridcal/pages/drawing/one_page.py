@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from aridcal.pages.drawing.frame import asset, filled
+from aridcal.pages.drawing.page_frame import asset, filled
 
 if TYPE_CHECKING:
     from matplotlib.font_manager import FontProperties

@@ -25,10 +25,10 @@ from aridcal.engine.robot.chain import Robot, same_chain
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, start_frames, tree_frames
 from aridcal.engine.robot.link_shapes import LinkShape
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.frame import asset, empty_page, filled
+from aridcal.pages.drawing.drawn_rows import thinned
 from aridcal.pages.drawing.html import attempt, note, noting
+from aridcal.pages.drawing.page_frame import asset, empty_page, filled
 from aridcal.pages.drawing.robot_shapes import packed, position_quaternion, robot_shapes, stepped, turn
-from aridcal.pages.drawing.thinned import thinned
 
 ASSETS = Path(__file__).parent / "assets"
 

@@ -37,8 +37,8 @@ from aridcal.jobs.calibrate.key_figures import (
 )
 from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.pages.drawing.frame import card
 from aridcal.pages.drawing.html import Content, bullets, codes, fold, tag
+from aridcal.pages.drawing.page_frame import card
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,

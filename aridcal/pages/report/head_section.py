@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pinocchio as pin
 from markupsafe import Markup
 
-from aridcal.jobs.calibrate.closed_form import ClosedForm
+from aridcal.jobs.calibrate.doty_answer import ClosedForm
 from aridcal.jobs.calibrate.key_figures import scored
 from aridcal.jobs.calibrate.measuring_head import HeadNumber, MeasuringHead
 from aridcal.jobs.calibrate.outcome import Outcome, errors

@@ -11,8 +11,8 @@ from aridcal import __version__
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.jobs.calibrate.controllers import ControllerExports
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.frame import Section, empty_page, framed_page
 from aridcal.pages.drawing.html import Content, attempt, join, missing, noting
+from aridcal.pages.drawing.page_frame import Section, empty_page, framed_page
 from aridcal.pages.report.data_section import data, enough
 from aridcal.pages.report.dependence import drives
 from aridcal.pages.report.first_screen import summary
@@ -23,7 +23,7 @@ from aridcal.pages.report.instruments_section import instruments
 from aridcal.pages.report.iso_section import iso
 from aridcal.pages.report.limits_section import limits, use
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 from aridcal.system.wording import counted
 
 # Anchor, title and content.

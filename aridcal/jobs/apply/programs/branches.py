@@ -17,7 +17,7 @@ import numpy as np
 
 from aridcal.engine.inverse.many_poses import MOST_STEPS, ROWS_AT_ONCE, ArmRows, InverseRows, SearchEnd
 from aridcal.engine.inverse.one_pose import MOST_UNAVOIDABLE, InverseKinematics
-from aridcal.engine.inverse.one_row import OneRowModel
+from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames

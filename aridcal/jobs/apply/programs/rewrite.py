@@ -28,9 +28,9 @@ from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
 from aridcal.system.errors import CampaignError, MeasurementError, OutputError, printable
 from aridcal.system.progress import SILENT, Progress
-from aridcal.system.reading.freed import give_back
+from aridcal.system.reading.memory_release import give_back
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
-from aridcal.system.writing.apart import check_apart
+from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import write_csv
 from aridcal.system.writing.whole_files import atomic_file, atomic_folder, check_home, claimed
 

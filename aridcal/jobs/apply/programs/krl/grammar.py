@@ -10,7 +10,7 @@ from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.expressions import Line
 from aridcal.jobs.apply.programs.krl.motions import MOVES, Motions
 from aridcal.jobs.apply.programs.krl.names import File, Names
-from aridcal.jobs.apply.programs.krl.noting import ProjectFacts
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Assignment, Computation, Expression, Function, Variable
 from aridcal.jobs.apply.programs.krl.tokens import GIVEN, MalformedStatement, Token, fields
 from aridcal.jobs.apply.programs.walk import DEEPEST, Choice, Jump, Leave, Mark, Node, Repeat, Step

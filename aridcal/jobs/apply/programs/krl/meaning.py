@@ -11,8 +11,8 @@ from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.frames import absent
 from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.names import Names
-from aridcal.jobs.apply.programs.krl.noting import ProjectFacts
 from aridcal.jobs.apply.programs.krl.points import Points, shown_text
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import (
     AXES,
     EXTERNAL,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.expressions import Line
-from aridcal.jobs.apply.programs.krl.noting import Mention, Notes, Thread
+from aridcal.jobs.apply.programs.krl.project_facts import Mention, Notes, Thread
 from aridcal.jobs.apply.programs.krl.syntax import Assignment, Function, Goal, Move, Variable
 from aridcal.jobs.apply.programs.krl.tokens import MalformedStatement, Token
 

@@ -13,8 +13,8 @@ from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.grammar import MalformedProgram, Reader
 from aridcal.jobs.apply.programs.krl.meaning import Meaning
 from aridcal.jobs.apply.programs.krl.names import File, Names, file_of
-from aridcal.jobs.apply.programs.krl.noting import Mention, ProjectFacts
 from aridcal.jobs.apply.programs.krl.points import Points
+from aridcal.jobs.apply.programs.krl.project_facts import Mention, ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Function, Move, UnclearStatement, Variable
 from aridcal.jobs.apply.programs.krl.values import Element, foot
 from aridcal.jobs.apply.programs.krl.writing import END_OF_FILE

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from aridcal.jobs.apply.programs.frames import unknown
 from aridcal.jobs.apply.programs.krl import table
-from aridcal.jobs.apply.programs.krl.noting import ProjectFacts
+from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Expression, Function, Product, Variable, Word
 from aridcal.jobs.apply.programs.notations import inverse
 from aridcal.jobs.apply.programs.text import Number

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.jobs.fleet.in_process import Engine, EngineGone, WorkFailure
+from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row
 from aridcal.jobs.fleet.runs import SAVE_EVERY
 from aridcal.jobs.fleet.trials import Trial, tried

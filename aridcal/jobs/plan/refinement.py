@@ -8,9 +8,9 @@ from functools import partial
 import numpy as np
 
 from aridcal.engine.inverse.reachable import off_the_limits
-from aridcal.jobs.plan.beforehand import PlanSetup
 from aridcal.jobs.plan.configurations import Candidates, allowed, in_sight
 from aridcal.jobs.plan.information import CandidateInformation, rows_of
+from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.jobs.plan.row_exchange import RowChoice, taken_away, updated, weights_of_the_worst, worth_of
 
 STEP_SHARES = (0.15, 0.15, 0.08, 0.08, 0.04, 0.04, 0.02, 0.02)

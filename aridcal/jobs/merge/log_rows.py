@@ -18,14 +18,14 @@ from aridcal.jobs.merge.clocks import MOST_DRIFT, Clocks
 from aridcal.jobs.merge.log import Log, seen
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
 from aridcal.jobs.merge.offsets import FEWEST_STANDSTILLS, best_offset, too_few
-from aridcal.jobs.merge.others import carried
+from aridcal.jobs.merge.other_columns import carried
 from aridcal.jobs.merge.pairs import FEWEST_SAMPLES as FEWEST_SAMPLES
 from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
-from aridcal.jobs.merge.written_as import TrackerRows, in_si, tracked
+from aridcal.jobs.merge.tracker_format import TrackerRows, in_si, tracked
+from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE
 from aridcal.jobs.prepare.condition_columns import SAMPLES
 from aridcal.jobs.prepare.guesses import Chooser
-from aridcal.jobs.prepare.propose import STRANGE_SHARE
 from aridcal.system.errors import MeasurementError
 
 FAR_RATIO = 10.0

@@ -15,8 +15,8 @@ from aridcal.files.quantities import POSITION
 from aridcal.files.tables import read_tables
 from aridcal.jobs.merge.log import Log
 from aridcal.jobs.merge.pairs import resolution
+from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE, propose
 from aridcal.jobs.prepare.guesses import Chooser
-from aridcal.jobs.prepare.propose import STRANGE_SHARE, propose
 from aridcal.system.errors import AridcalError, MeasurementError
 
 QUATERNION_NORMS = (0.9, 1.1)
