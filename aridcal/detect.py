@@ -27,14 +27,14 @@ from aridcal.command_line import CommandParser, command, command_parser, for_scr
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.tables import Table, read_tables
 from aridcal.jobs.boards.advice import ENOUGH_IMAGES, advice
-from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_text, known_camera
+from aridcal.jobs.boards.camera_file import CAMERA_FILE, camera_by_name, camera_text
 from aridcal.jobs.boards.finders import MIRRORED, ImageMarks, find
 from aridcal.jobs.boards.grey_images import grey_image, listed_images
 from aridcal.jobs.boards.lens import FEWEST_VIEWS, Lens, LensUnknown, estimate, fit
-from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, as_written, board_of, chosen
+from aridcal.jobs.boards.options import BOARDS, TAGS, Defaults, add_board_options, board_of, chosen, option_text
 from aridcal.jobs.boards.patterns import AnyBoard, Cube
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.system.errors import AridcalError, MeasurementError, listed, printable, shortened
+from aridcal.system.errors import AridcalError, MeasurementError, name_list, printable, shortened
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 from aridcal.system.reading.regular_files import SETTINGS, read_file
 from aridcal.system.reading.user_names import check_name, path_argument
@@ -147,7 +147,7 @@ def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
     reserved = [name for name in COLUMNS[1:] if name in table.names]
     if reserved:
         raise MeasurementError(
-            f"{path}: the columns {listed(reserved)} are written by this command: rename or delete them"
+            f"{path}: the columns {name_list(reserved)} are written by this command: rename or delete them"
         )
     rows: dict[str, int] = {}
     for row, name in enumerate(table.texts("image")):
@@ -186,7 +186,7 @@ def _main(arguments: argparse.Namespace) -> None:
     # The numbers of --intrinsics may be in the camera's file beside the table, and are what is written there again.
     check_apart([out, out.with_name(REFUSED)], [arguments.joints, arguments.intrinsics])
     with claimed_table(out, BESIDE):
-        camera = known_camera(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
+        camera = camera_by_name(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         stated_text = read_file(arguments.intrinsics, AridcalError, SETTINGS) if camera else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
@@ -197,7 +197,7 @@ def _main(arguments: argparse.Namespace) -> None:
                 f"{arguments.joints}: has no row for any of the images: its column `image` needs names as {first!r}"
             )
         _, console = screens(arguments)
-        console.say(f"looking for {arguments.board} {as_written(options)}")
+        console.say(f"looking for {arguments.board} {option_text(options)}")
         looked = look(images, board, console)
         remarks = _write(looked, out, arguments.camera, camera, stated_text, joints)
     console.say(*remarks)
@@ -225,7 +225,7 @@ def _write(
         lacking = [name for name in seen.good if name not in joints[1]]
         seen = seen.without(dict.fromkeys(lacking, "the table of joints has no row for this image"))
         unseen = sorted(set(joints[1]) - set(seen.shot))
-        remarks += [f"{len(unseen)} rows of the table of joints name no image: {listed(unseen)}"] if unseen else []
+        remarks += [f"{len(unseen)} rows of the table of joints name no image: {name_list(unseen)}"] if unseen else []
     if not seen.good:
         name, why = next(iter(seen.refused.items()))
         raise AridcalError(f"no image is left. {shortened(printable(name))}: {why}")

@@ -148,7 +148,7 @@ def _attempt(what: str, look: Callable[[], Finding]) -> Finding:
 def _round_trip() -> Finding:
     """Simulate a small wrong robot, calibrate it, write all results, and see whether it came out right."""
     from aridcal.files.yaml_file import load_settings
-    from aridcal.jobs.calibrate.key_figures import overall
+    from aridcal.jobs.calibrate.key_figures import overall_error
     from aridcal.jobs.calibrate.pipeline import identify
     from aridcal.jobs.calibrate.saved_model import SavedModel
     from aridcal.jobs.simulate.scenario import Scenario
@@ -167,7 +167,8 @@ def _round_trip() -> Finding:
         SavedModel.load(home / "results")
     test = outcome.parts()["test"]
     before, after = (
-        overall(s.residual, test, outcome.measurements, outcome.noise) for s in (outcome.stages[0], outcome.stages[-1])
+        overall_error(s.residual, test, outcome.measurements, outcome.noise)
+        for s in (outcome.stages[0], outcome.stages[-1])
     )
     said = f"{before:.2f} mm before, {after:.2f} mm calibrated (noise 0.17), {time.perf_counter() - started:.1f} s"
     wrong = after > GOOD_ENOUGH * 0.1 * 3**0.5

@@ -34,7 +34,7 @@ from aridcal.command_line import (
 from aridcal.jobs.fleet.members import TAKEN, members
 from aridcal.jobs.fleet.run_table import NAME
 from aridcal.runs.fleet_run import PAGE, calibrated_fleet, summary
-from aridcal.system.progress import told_on
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
 
@@ -64,7 +64,7 @@ def _main(arguments: argparse.Namespace) -> int:
     fleet = members(arguments.campaigns, out)
     check_apart((out / name for name in TAKEN), (member.campaign for member in fleet))
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         ran = calibrated_fleet(fleet, out, arguments.scheduler, progress)
     console.say(*summary(ran), f"table: {out / NAME}", f"page: {out / PAGE}")
     return NOT_GOOD if ran.failed or ran.remaining else DONE

@@ -22,7 +22,7 @@ import pandas as pd
 
 from aridcal.command_line import CommandParser, command, command_parser, for_scripts, screens
 from aridcal.jobs.boards.bodies import cup, holder, seat_rise, stl
-from aridcal.jobs.boards.options import ALL_BOARDS, Defaults, add_board_options, as_written, board_of, chosen, length
+from aridcal.jobs.boards.options import ALL_BOARDS, Defaults, add_board_options, board_of, chosen, length, option_text
 from aridcal.jobs.boards.patterns import Marks, Tags, drawing, marks, square_strip
 from aridcal.jobs.boards.sheet import MM, Sheet, on_paper, pdf, svg
 from aridcal.jobs.head1992.square import STRIP_SQUARES
@@ -111,7 +111,7 @@ def _print_body(what: str, options: dict[str, Any], out: Path) -> list[str]:
 
 def _print_sheet(what: str, options: dict[str, Any], out: Path) -> list[str]:
     plain, marks_found = sheet_of(what, options)
-    sheet = on_paper(plain, f"aridcal print {what} {as_written(options)}".strip())
+    sheet = on_paper(plain, f"aridcal print {what} {option_text(options)}".strip())
     content = svg(sheet).encode() if out.suffix.lower() == ".svg" else pdf(sheet)
     width, height = sheet.size
     remarks = [f"{out}: {width:g} x {height:g} mm; print it at 100 %, then measure both rulers"]

@@ -35,7 +35,7 @@ from aridcal.jobs.fleet.run_record import FAILED
 from aridcal.jobs.fleet.study_records import NAME
 from aridcal.jobs.fleet.trials import load_study
 from aridcal.runs.study_run import PAGE, repeated, summary
-from aridcal.system.progress import told_on
+from aridcal.system.progress import console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
 
@@ -60,7 +60,7 @@ def _main(arguments: argparse.Namespace) -> int:
     check_apart([out / NAME, out / PAGE], [arguments.study])
     job = load_study(arguments.study)
     console, aside = screens(arguments)
-    with told_on(aside) as progress:
+    with console_progress(aside) as progress:
         results = repeated(job, out, arguments.scheduler, progress)
     console.say(*summary(results), f"table: {out / NAME}", f"page: {out / PAGE}")
     return NOT_GOOD if results.remaining or any(row["status"] == FAILED for row in results.rows) else DONE

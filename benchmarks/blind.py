@@ -38,7 +38,7 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import triangle
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.search.loop import CalibratedArm, calibrated_arm, fit_constants
-from aridcal.jobs.calibrate.pipeline import judged
+from aridcal.jobs.calibrate.pipeline import judge_arm
 from aridcal.system.progress import SILENT
 
 TELLABLE = 12.0
@@ -117,7 +117,7 @@ def analyse(case: Case) -> tuple[CalibratedArm, str]:
     rows = case.rows
     robot, geometry = case.truth.robot, fit_constants(case.campaign.question, case.truth.robot, rows, ())
     arm = calibrated_arm(case.campaign.question, robot, rows, (), geometry, SILENT)
-    return arm, judged(arm).verdict.word
+    return arm, judge_arm(arm).verdict.word
 
 
 def judge(case: Case) -> Score:

@@ -32,7 +32,7 @@ from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.identifiable import identifiable
 from aridcal.engine.instruments.camera import predict_pixels
-from aridcal.engine.instruments.camera_sonar import Head, HeadShot, carried, predict_ranges
+from aridcal.engine.instruments.camera_sonar import Head, HeadShot, predict_ranges, square_motion
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import load_robot
 from aridcal.engine.rows.dataset import dataset
@@ -251,7 +251,7 @@ def _whitened(
         T_world_camera[:3, :3], T_world_camera[:3, 3] = R[k], p[k]
         T = np.linalg.inv(T_world_camera) @ s.T_world_square
         T_square_camera = np.linalg.inv(T)
-        by_theta = np.linalg.solve(carried(s.T_world_square[None, :3, :3], T_square_camera[None, :3, 3])[0], J[k])
+        by_theta = np.linalg.solve(square_motion(s.T_world_square[None, :3, :3], T_square_camera[None, :3, 3])[0], J[k])
         pixels, by_twist, by_phi = predict_pixels(T, s.points, head.intrinsics)
         h, h_by_twist = predict_ranges(T, head.positions, head.measures)
         stretch = 1.0 + head.scale

@@ -33,7 +33,7 @@ from aridcal.jobs.plan.information import rows_of
 from aridcal.jobs.plan.pose_design import POOL, RANDOM_CHOICES, SMALL_POOL, PlanRequest, question
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.refinement import RefinedCandidates, refined
-from aridcal.jobs.plan.row_exchange import best_choice, exchanged, rms_sigma, worst_sigma
+from aridcal.jobs.plan.row_exchange import best_choice, exchange_members, rms_sigma, worst_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.usual_effects import with_usual_effects
 
@@ -108,7 +108,7 @@ def _near(known: PlanSetup, n: int, region: np.ndarray, rng: np.random.Generator
     """RMS sigma of a choice among some candidates, as a share of that of the best of many exchanges."""
     few, _ = question(known, PlanRequest(n), draw_candidates(known, SMALL_POOL, n, rng), region)
     begun = [rng.permutation(len(few.rows))[:n].tolist() for _ in range(EXCHANGES)]
-    least = min(few.cost(exchanged(few, some)) for some in begun)
+    least = min(few.cost(exchange_members(few, some)) for some in begun)
     return float(np.sqrt(few.cost(best_choice(few, n, rng)) / least))
 
 

@@ -23,7 +23,7 @@ from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import LANGUAGES
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.proof import TextChange, corrected, edited, meant
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
 from aridcal.system.errors import AridcalError
@@ -78,7 +78,7 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
         new = list(map(written, nearby(target, rng), target.numbers.texts, target.places))
         if max(map(abs, map(float, new))) <= LARGEST:  # larger ones are left by the correction, too
             changes.append(TextChange(target.file, target.numbers, NUL.join(new)))
-    texts = corrected(language, project, cell, meant(targets), edited(project, changes))
+    texts = corrected(language, project, cell, expected_targets(targets), edit_texts(project, changes))
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):
         if changed_outside(source.text, text, [c for c in changes if c.file == file]):
             return len(plain), "a byte outside of targets has changed"

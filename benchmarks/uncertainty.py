@@ -37,11 +37,11 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.search.loop import calibrated_arm, fit_constants
 from aridcal.engine.trust.certainty import certainty
-from aridcal.engine.trust.uncertainty import with_noise_seen
+from aridcal.engine.trust.uncertainty import with_contradicted_noise
 from aridcal.engine.trust.workspace import knowledge
 from aridcal.files.campaign import load_campaign
 from aridcal.jobs.calibrate.pipeline import identify, score
-from aridcal.jobs.calibrate.tolerance_region import wanted
+from aridcal.jobs.calibrate.tolerance_region import requirement
 from aridcal.system.errors import AridcalError
 from aridcal.system.progress import SILENT
 
@@ -172,7 +172,7 @@ def sigma(name: str, runs: int, seed: int) -> None:
         labels = station_labels(campaign.question, rows)
         geometry = fit_constants(campaign.question, made.model.robot, rows, labels)
         arm = calibrated_arm(campaign.question, made.model.robot, rows, labels, geometry, SILENT)
-        fit = recentred(with_noise_seen(arm.diagnosed.fit, rows))
+        fit = recentred(with_contradicted_noise(arm.diagnosed.fit, rows))
         like = np.arange(len(q)) % len(rows)
         known = knowledge(fit, rows, arm.geometry.geometric.candidates).over(rows, q, like)
         station = None if rows.labels.station is None else rows.labels.station[like]
@@ -288,10 +288,10 @@ def tolerance(name: str, runs: int, seed: int) -> None:
         rows = replace(rows, test=np.arange(len(rows)) % 5 == 0)
         rows = rows if asked.declared else with_sigma(rows, (None, None))
         geometry = fit_constants(campaign.question, robot, rows, ())
-        fit = recentred(with_noise_seen(geometry.geometric, rows.select(rows.train)))
+        fit = recentred(with_contradicted_noise(geometry.geometric, rows.select(rows.train)))
         residual = problem(fit.model, rows).residual(fit.theta)
         known = certainty(
-            wanted(campaign), fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None
+            requirement(campaign), fit, rows, fit.candidates, None, np.zeros(len(rows), dtype=bool), residual, None
         )
         said, q = known.kept[0].bound, known.region.readings
         own = rng.normal(0.0, asked.jitter, q.shape) if asked.jitter else 0.0

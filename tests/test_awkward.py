@@ -23,7 +23,7 @@ from aridcal.files.formats.number_marks import is_number, marks
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.campaign_text import draft
-from aridcal.jobs.prepare.guesses import OpenChoice, nobody
+from aridcal.jobs.prepare.guesses import OpenChoice, leave_open
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading.dates import orders, seconds
 from aridcal.system.reading.dialect import Dates, Dialect
@@ -63,7 +63,7 @@ def read_by(out: Path, files: list[Path] | None = None):
 
 def proposed(path: Path, settled: dict[str, int] | None = None) -> Path:
     out = path.with_suffix(".campaign.yaml")
-    made = draft(known("ur10").urdf, [path], out, nobody, settled)
+    made = draft(known("ur10").urdf, [path], out, leave_open, settled)
     out.write_text(made.campaign.text, encoding="utf-8")
     return out
 
@@ -179,7 +179,7 @@ def test_two_files_of_one_campaign_are_written_alike(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_bytes(text(kuka(t), ";", ","))
     (tmp_path / "b.csv").write_bytes(text(kuka(t), "\t", ","))
     with pytest.raises(MeasurementError, match=r"b\.csv: is not written as .*a\.csv is .*tabs.*semicolons"):
-        draft(t.urdf, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", nobody)
+        draft(t.urdf, [tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "c.yaml", leave_open)
 
 
 # ---------------------------------------------------------------- numbers, dates, makers

@@ -30,7 +30,7 @@ from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exp
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
-from aridcal.pages.drawing.html import LONGEST_REASON, attempt, note, noting
+from aridcal.pages.drawing.html import LONGEST_REASON, attempt, collect_notices, note
 from aridcal.pages.report import page
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
@@ -469,7 +469,7 @@ ERRORS = [ZeroDivisionError("oops"), MemoryError(), RecursionError("deep"), OSEr
 
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 def test_an_error_of_any_kind_is_a_notice_with_its_place(error: Exception) -> None:
-    with noting() as notices:
+    with collect_notices() as notices:
         said = attempt("a picture", fails(error), lambda notice: notice)
     assert notices == [said]
     assert str(said).startswith(f"a picture is not drawn: {type(error).__name__}")
@@ -564,9 +564,9 @@ def test_an_interruption_is_no_failed_picture() -> None:
 
 def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
     note("nobody listens")
-    with noting() as outer:
+    with collect_notices() as outer:
         note("a")
-        with noting() as inner:
+        with collect_notices() as inner:
             note("b")
             note("b")
         note("c")
@@ -574,7 +574,7 @@ def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
 
 
 def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
-    with noting() as notices:
+    with collect_notices() as notices:
         attempt("it", fails(ValueError("x" * 10_000 + "\n\x1b[31m\x00")), lambda notice: None)
     assert notices[0].isprintable() and len(notices[0]) < LONGEST_REASON + 100
     assert "test_bad_pictures.py:" in notices[0]

@@ -14,7 +14,7 @@ import pytest
 import robots
 import yaml
 
-from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, evaluated
+from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, values_of_bases
 from aridcal.engine.corrections.catalogue import (
     KINDS,
     candidates,
@@ -24,7 +24,7 @@ from aridcal.engine.corrections.catalogue import (
     usable_columns,
 )
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, ObservedRows
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows
 from aridcal.engine.corrections.labels import STATION, label_columns
 from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
@@ -225,7 +225,7 @@ def _toy(rows: ObservedRows) -> Iterator[Effect]:
             yield Effect("toy", j.name, (Coefficient(j.name, "axis", Basis("power", ("toy",), (0.0, 1.0, 3.0))),))
 
 
-TOY = Kind(
+TOY = EffectKind(
     "toy",
     where="a joint",
     words="the joint follows the cube of a toy",
@@ -281,5 +281,5 @@ def test_bases_evaluated_together_are_those_one_by_one() -> None:
              for form, (of, numbers) in counts.items() for k in range(4)]  # fmt: skip
     bases.append(Basis("label", ("nobody",)))  # counts as absent
     bases = [bases[k] for k in rng.permutation(len(bases))]
-    found = evaluated(bases, table)
+    found = values_of_bases(bases, table)
     np.testing.assert_allclose(found, np.column_stack([evaluate(b, table) for b in bases]), rtol=1e-14, atol=1e-14)

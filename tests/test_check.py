@@ -30,7 +30,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, bounds
-from aridcal.jobs.maintain.checking import asked, check
+from aridcal.jobs.maintain.checking import check, new_rows_question
 from aridcal.jobs.maintain.hypotheses import suspects, widened
 from aridcal.jobs.maintain.likelihoods import (
     LOG_WEIGHTS,
@@ -41,7 +41,7 @@ from aridcal.jobs.maintain.likelihoods import (
     evidence,
     likely,
 )
-from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, known_noise
+from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, new_row_noise
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 
 NAMES = robots.ur10().readings
@@ -53,7 +53,7 @@ def ur10(seed: int = 1, kind: str = "pose") -> Machine:
 
 
 def question(m: Machine, rows: Dataset) -> NewRowsQuestion:
-    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows))
+    return new_rows_question(widened(m.saved.final), rows, new_row_noise(m.saved, rows))
 
 
 # -- the rules of evidence, by a second road
@@ -177,7 +177,7 @@ def with_wander(m: Machine, sigma: float) -> Machine:
 
 def uneven_question(m: Machine, rows: Dataset) -> NewRowsQuestion:
     shared = wandering(m.saved.wanders, m.model.robot, rows.readings, m.saved.ranges)
-    return asked(widened(m.saved.final), rows, known_noise(m.saved, rows), wandering=shared)
+    return new_rows_question(widened(m.saved.final), rows, new_row_noise(m.saved, rows), wandering=shared)
 
 
 def corner(m: Machine, n: int) -> np.ndarray:
@@ -218,12 +218,15 @@ def test_noise_with_tails_makes_false_alarms_as_seldom_as_stated_and_hides_no_ju
             turned = Rotation.from_rotvec(shake[:, 1]).as_matrix() @ rows.rotation
             rows = robots.placed(rows, position=rows.position + shake[:, 0], rotation=turned)
             every = suspects(wide, rows)
-            alarmed = alarm(asked(wide, rows, noise), every).p_value < FALSE_ALARMS
+            alarmed = alarm(new_rows_question(wide, rows, noise), every).p_value < FALSE_ALARMS
             if np.any(offset):
                 missed += not alarmed
             else:
                 after += alarmed
-                before += alarm(asked(wide, rows, NewRowNoise(scale, noise.freedom)), every).p_value < FALSE_ALARMS
+                before += (
+                    alarm(new_rows_question(wide, rows, NewRowNoise(scale, noise.freedom)), every).p_value
+                    < FALSE_ALARMS
+                )
     assert before > 40
     assert after <= 2  # 0.6 expected at the most
     assert missed == 0
@@ -238,7 +241,10 @@ def test_one_clean_check_in_a_hundred_is_a_false_alarm(kind):
         wide = widened(m.saved.final)
         for _ in range(100):
             rows = m.measured(q)
-            alarms += alarm(asked(wide, rows, known_noise(m.saved, rows)), suspects(wide, rows)).p_value < FALSE_ALARMS
+            alarms += (
+                alarm(new_rows_question(wide, rows, new_row_noise(m.saved, rows)), suspects(wide, rows)).p_value
+                < FALSE_ALARMS
+            )
     assert 1 <= alarms <= 9  # 5 expected: two standard deviations
 
 

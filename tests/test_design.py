@@ -26,7 +26,15 @@ from aridcal.jobs.plan.configurations import draw_candidates, targets_of
 from aridcal.jobs.plan.plan_coverage import observability
 from aridcal.jobs.plan.pose_design import Plan, PlanRequest, as_table, design, question
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
-from aridcal.jobs.plan.row_exchange import RowChoice, best_choice, exchanged, greedy, nested, rms_sigma, worst_sigma
+from aridcal.jobs.plan.row_exchange import (
+    RowChoice,
+    best_choice,
+    exchange_members,
+    greedy,
+    nested,
+    rms_sigma,
+    worst_sigma,
+)
 from aridcal.jobs.plan.target_region import region, region_readings
 from aridcal.jobs.plan.travel import length, short_order, times
 from aridcal.system.errors import AridcalError, CampaignError, MeasurementError
@@ -91,7 +99,7 @@ def test_a_choice_is_the_best_of_all_that_there_are(criterion: str) -> None:
 @pytest.mark.parametrize("criterion", ["A", "D"])
 def test_no_single_exchange_makes_a_choice_better(criterion: str) -> None:
     choice = a_choice(criterion, seed=3, count=40)
-    found = exchanged(choice, list(range(8)))
+    found = exchange_members(choice, list(range(8)))
     cost = choice.cost(found)
     others = [c for c in range(40) if c not in found]
     swapped = [choice.cost([*found[:k], c, *found[k + 1 :]]) for k in range(8) for c in others]
@@ -128,7 +136,7 @@ def test_sigmas_of_the_region_are_those_of_drawn_unknowns() -> None:
 
 def test_an_order_begins_with_what_is_worth_most_and_goes_on() -> None:
     choice = a_choice("A", count=40)
-    chosen = exchanged(choice, greedy(choice, 8))
+    chosen = exchange_members(choice, greedy(choice, 8))
     order = nested(choice, chosen, 12)
     assert set(order[:8]) == set(chosen) and len(set(order)) == 12
     costs = [choice.cost(order[:k]) for k in range(1, 13)]
@@ -236,7 +244,9 @@ def test_a_plan_is_within_five_per_cent_of_the_best_of_many_exchanges(
     candidates = draw_candidates(known, 200, n, rng)
     choice, _ = question(known, PlanRequest(n), candidates, region_readings(known, None, rng))
     found = choice.cost(best_choice(choice, n, rng))
-    others = [choice.cost(exchanged(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(15)]
+    others = [
+        choice.cost(exchange_members(choice, rng.permutation(len(candidates.readings))[:n].tolist())) for _ in range(15)
+    ]
     assert np.sqrt(found) <= 1.05 * np.sqrt(min(others))
 
 

@@ -19,7 +19,7 @@ from aridcal.jobs.plan import discrimination
 from aridcal.jobs.plan import pose_design as planning
 from aridcal.jobs.plan.configurations import Candidates, draw_candidates, rows_like
 from aridcal.jobs.plan.discrimination import Duel, duel_lines
-from aridcal.jobs.plan.information import so_far, told, whitened
+from aridcal.jobs.plan.information import candidate_information, measured_information, whitened
 from aridcal.jobs.plan.pose_design import PlanRequest, design
 from aridcal.jobs.plan.prior_knowledge import PlanSetup, beforehand
 from aridcal.jobs.plan.usual_effects import with_pair
@@ -109,11 +109,11 @@ def test_expected_evidence_is_what_a_fit_of_the_rival_leaves(tmp_path: Path) -> 
     table_of(known, theta, readings, rng).to_csv(tmp_path / "rows.csv", index=False)
     plan = design(known_of(path), PlanRequest(8, apart=PAIR))
     wide, parts = with_pair(known_of(path), PAIR, at(plan.readings))
-    flat, residual = so_far(wide, at(plan.readings))
+    flat, residual = measured_information(wide, at(plan.readings))
     new = whitened(wide, at(plan.readings))
     F = np.concatenate([flat, new.reshape(-1, new.shape[2])])
     offered = draw_candidates(wide, 300, 16, np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0]))
-    constants = [k for k in told(wide, offered, 8).kept if k not in {*parts[0], *parts[1]}]
+    constants = [k for k in candidate_information(wide, offered, 8).kept if k not in {*parts[0], *parts[1]}]
 
     def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
         return y - columns @ np.linalg.lstsq(columns, y, rcond=1e-12)[0]

@@ -11,7 +11,7 @@ import pytest
 from photographs import INTRINSICS, SIZE, looking, photograph, pixels_of
 
 from aridcal.detect import main
-from aridcal.jobs.boards.camera_file import known_camera
+from aridcal.jobs.boards.camera_file import camera_by_name
 from aridcal.jobs.boards.finders import ImageMarks, find
 from aridcal.jobs.boards.lens import estimate
 from aridcal.jobs.boards.options import ALL_BOARDS, board_of
@@ -235,7 +235,7 @@ def test_images_and_joints_make_a_complete_table_of_pixels_with_its_camera(image
 def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, tmp_path):
     assert main([str(images), "-o", str(tmp_path / "c.csv")]) == 0
     text = (tmp_path / "camera.yaml").read_text()
-    camera = known_camera(tmp_path / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "camera.yaml", "eye")
     assert (camera.width, camera.height, camera.on) == (*SIZE, "tip")
     focal, middle = (
         float(part.split()[0]) for part in text.replace("fx fy ", "|").replace("cx cy ", "|").split("|")[1:3]
@@ -249,7 +249,7 @@ def test_the_camera_is_told_by_the_images_themselves_within_four_sigma(images, t
 def test_tags_alone_tell_the_camera_too(tmp_path):
     shots(tmp_path / "cube", "cube", 10)
     assert main([str(tmp_path / "cube"), "--board", "apriltag", "-o", str(tmp_path / "c.csv")]) == 0
-    camera = known_camera(tmp_path / "camera.yaml", "eye")
+    camera = camera_by_name(tmp_path / "camera.yaml", "eye")
     assert np.allclose(camera.intrinsics[:2] / INTRINSICS[:2], 1, atol=0.01)
 
 
@@ -268,7 +268,7 @@ def test_an_image_of_another_board_is_refused_when_the_camera_is_known(images, t
             assert (out.parent / "camera.yaml").read_bytes() == (tmp_path / "camera.yaml").read_bytes()
     assert main([str(images), "--intrinsics", str(tmp_path / "camera.yaml"), "-o", str(tmp_path / "c.csv")]) == 0
     assert (
-        known_camera(tmp_path / "camera.yaml", "eye").width == SIZE[0]
+        camera_by_name(tmp_path / "camera.yaml", "eye").width == SIZE[0]
     )  # not lost where it is beside the table already
 
 

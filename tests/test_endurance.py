@@ -30,7 +30,7 @@ from aridcal.jobs.apply import stretches
 from aridcal.jobs.calibrate import pipeline
 from aridcal.jobs.calibrate.folder import write_results
 from aridcal.system.errors import CampaignError, MeasurementError
-from aridcal.system.progress import EVERY, Progress, StepProgress, told_on
+from aridcal.system.progress import EVERY, Progress, StepProgress, console_progress
 
 
 def hundred_times(folder: Path, rows: int) -> pd.DataFrame:
@@ -234,7 +234,7 @@ def test_a_quiet_step_is_told_of_only_if_it_takes_long() -> None:
 def test_in_a_pipe_progress_is_lines_and_in_a_terminal_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for terminal in (False, True):
         console = Console(stderr=True, force_terminal=terminal, width=80)
-        with told_on(console) as progress:
+        with console_progress(console) as progress:
             progress._clock = iter([0.0, 5.0, 10.0]).__next__
             progress("reading [bold]")
             progress.part(1, 2, "rows")

@@ -26,7 +26,7 @@ import aridcal
 from aridcal import api
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import parse_settings
-from aridcal.jobs.fleet.local_engine import here
+from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
 from aridcal.runs.result_folder import RESULT_FILES
@@ -423,7 +423,7 @@ def test_what_the_page_on_python_shows_runs(tmp_path: Path, monkeypatch: pytest.
             simulate(parse_settings(quick, tmp_path / "s.yaml", Scenario)), *[tmp_path / "robots" / name] * 2
         )
     for module in ("fleet_run", "study_run"):  # processes would take longer to start than to work
-        monkeypatch.setattr(sys.modules[f"aridcal.runs.{module}"], "dask_engine", lambda *_: nullcontext(here))
+        monkeypatch.setattr(sys.modules[f"aridcal.runs.{module}"], "dask_engine", lambda *_: nullcontext(run_tasks))
     text = API.read_text("utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     loads = next(k for k, block in enumerate(blocks) if "aridcal.load(" in block)

@@ -15,7 +15,7 @@ from aridcal.jobs.apply.programs.frames import KnownFrames
 from aridcal.jobs.apply.programs.gcode import ROW
 from aridcal.jobs.apply.programs.gcode.table import CODES, START
 from aridcal.jobs.apply.programs.project import Project, SourceFile
-from aridcal.jobs.apply.programs.proof import TextChange, corrected, edited, meant
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import Numbers, written
 from aridcal.system.errors import AridcalError
@@ -227,7 +227,7 @@ def test_a_correction_is_proved() -> None:
         for target in found if not target.why
         for number, digits in zip(target.numbers, target.places, strict=True)
     ]  # fmt: skip
-    (new,) = corrected(ROW, project, cell, meant(found), edited(project, changes))
+    (new,) = corrected(ROW, project, cell, expected_targets(found), edit_texts(project, changes))
     assert new == HEAD + "G55\nG0 Z5\nX10.1235 Y-3.1265\nG1 Z-1.3765 F100\nG20\nG1 X1.12346 Y.62346\nM30\n".replace(
         "Y.6", "Y0.6"
     )

@@ -25,7 +25,7 @@ from aridcal.engine.fit.stages import with_things_moved
 from aridcal.engine.robot.kinematics import along_plane
 from aridcal.files.campaign import load_campaign
 from aridcal.files.yaml_file import load_settings
-from aridcal.jobs.calibrate.folder import what_moved
+from aridcal.jobs.calibrate.folder import step_in_words
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saving import calibration
@@ -285,9 +285,9 @@ def test_a_plate_keeps_its_middle_and_its_shape_on_other_rows(searched: Searched
 def test_what_was_knocked_is_told_in_words_and_a_joint_has_a_zero(searched: Searched) -> None:
     outcome, _ = searched("a plate that was knocked")
     (effect,) = (e.effect for e in outcome.effects)
-    assert what_moved(effect, outcome.measurements).startswith("wall moved between rows ")
+    assert step_in_words(effect, outcome.measurements).startswith("wall moved between rows ")
     of_joint = Effect("shift", "elbow_joint", (replace(effect.coefficients[0], where="elbow_joint", component="axis"),))
-    assert what_moved(of_joint, outcome.measurements).startswith("the zero of elbow_joint moved between rows ")
+    assert step_in_words(of_joint, outcome.measurements).startswith("the zero of elbow_joint moved between rows ")
 
 
 def test_predictions_are_where_the_target_is_not_where_a_tracker_shows_it(searched: Searched) -> None:

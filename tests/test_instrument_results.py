@@ -28,7 +28,7 @@ from aridcal.engine.instruments.kinds import KINDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.identify import summary
 from aridcal.jobs.calibrate.folder import residual_table, result_document
-from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std, thing_values
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma, scale_std, thing_values
 from aridcal.jobs.calibrate.outcome import Outcome, leading
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing.html import join, tag
@@ -331,7 +331,7 @@ def test_a_pixel_is_at_the_target_its_distance_over_the_focal_length() -> None:
 
 def test_points_without_a_known_length_have_no_scale_and_all_pages_say_so() -> None:
     outcome = found("loose")
-    assert known_scale(outcome.measurements) == np.inf
+    assert known_scale_sigma(outcome.measurements) == np.inf
     screen = io.StringIO()
     summary(outcome, Console(file=screen, width=200))
     assert "scale: unknown" in screen.getvalue()
@@ -341,13 +341,13 @@ def test_points_without_a_known_length_have_no_scale_and_all_pages_say_so() -> N
 
 def test_known_lengths_tell_the_scale_by_their_sigma_over_their_length() -> None:
     rows = found("point").measurements
-    assert known_scale(rows) == pytest.approx(1e-5 / gauges.SPACING / np.sqrt(3))
+    assert known_scale_sigma(rows) == pytest.approx(1e-5 / gauges.SPACING / np.sqrt(3))
     one = replace(rows, instruments=replace(rows.instruments, ties=rows.instruments.ties[:1]))
-    assert known_scale(one) == pytest.approx(1e-5 / gauges.SPACING)
+    assert known_scale_sigma(one) == pytest.approx(1e-5 / gauges.SPACING)
     assert re.search(r"± 0\.12 mm per m", section("point"))
-    assert known_scale(found("distance").measurements) == known_scale(found("mixed").measurements) == 0.0
-    assert known_scale(found("pixels").measurements) == 0.0
-    assert known_scale(found("inclination").measurements) is None
+    assert known_scale_sigma(found("distance").measurements) == known_scale_sigma(found("mixed").measurements) == 0.0
+    assert known_scale_sigma(found("pixels").measurements) == 0.0
+    assert known_scale_sigma(found("inclination").measurements) is None
 
 
 def test_a_target_that_is_known_worse_than_the_rows_agree_is_said_to_be_consistent_not_accurate() -> None:

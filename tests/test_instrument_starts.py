@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, placed
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point
 from aridcal.engine.instruments.kinds import KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import Things
@@ -184,7 +184,7 @@ def least(made: Scene) -> float:
     kind = KINDS[made.name]
     free = {role.name: made.things[role.name].free for role in kind.roles}
     view = StartView(kind, made.R, made.p, made.observed, made.refers, free, made.name != "pixels")
-    return float(np.sqrt(descend(view, placed(view, made.target, made.true), 60).cost))
+    return float(np.sqrt(descend(view, descent_point(view, made.target, made.true), 60).cost))
 
 
 @pytest.mark.parametrize("name", ["point", "distance", "plane"])

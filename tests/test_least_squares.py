@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit import least_squares as least_squares_module
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.fit.flags import OUTLIER, SUSPECT, flagged, robust_sigma
+from aridcal.engine.fit.flags import OUTLIER, SUSPECT, outlier_rows, robust_sigma
 from aridcal.engine.fit.least_squares import fit, fit_identifiable, minimise, thin
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import BLOCK, Problem, problem
@@ -150,7 +150,7 @@ def test_a_stale_row_is_flagged_sooner() -> None:
     r[0, 0] = r[1, 0] = 4.5 * sigma[0]
     limit = np.full(400, OUTLIER)
     limit[0] = SUSPECT
-    assert flagged(r, POSE, limit)[:2].tolist() == [True, False]
+    assert outlier_rows(r, POSE, limit)[:2].tolist() == [True, False]
 
 
 def test_predicted_covariance_matches_repeated_fits() -> None:

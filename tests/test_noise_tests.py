@@ -27,7 +27,7 @@ from aridcal.engine.search.noise_tests import (
     _change,
     _neighbours,
     _things,
-    by_chance,
+    chance_moments,
     clues,
     stretches,
 )
@@ -90,7 +90,7 @@ def test_what_chance_makes_of_pairs_is_what_all_orders_make_of_them(columns: int
     x = 0.4 + rng.standard_normal((6, columns)) ** 3  # neither centred nor normal
     first, second = np.array([[0, 1, 1, 3, 4, 0, 5, 2], [1, 0, 2, 4, 3, 5, 2, 0]])  # some twice, either way round
     every = [np.sum(x[list(order)][first] * x[list(order)][second]) for order in permutations(range(6))]
-    assert by_chance(x, first, second) == pytest.approx((np.mean(every), np.std(every)), rel=1e-9)
+    assert chance_moments(x, first, second) == pytest.approx((np.mean(every), np.std(every)), rel=1e-9)
 
 
 def test_rows_that_stand_twice_are_no_neighbours_of_themselves() -> None:

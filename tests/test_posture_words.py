@@ -23,7 +23,7 @@ from aridcal.jobs.apply.programs.axis_zeros import WITNESSES, cell_zeros, senses
 from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import KUKA as NOTATION
-from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread
+from aridcal.jobs.apply.programs.postures import EITHER, fanuc_words, krl_words, rapid_words, unread_words
 from aridcal.jobs.apply.programs.project import Project, SourceFile
 from aridcal.jobs.apply.programs.rewrite import Request, correct_programs
 from aridcal.jobs.apply.programs.sentences import lines_of
@@ -263,9 +263,10 @@ def test_the_posture_of_an_arm_of_another_build_is_kept_and_that_is_said() -> No
         assert krl_of(cell, "5", "0").texts(q) == ("5", "0")
         assert rapid_of(cell, "0", "0", "0", "5").texts(q) == ("0", "0", "0", "5")
         assert fanuc_of(cell, "FDB", "0", "0", "0").texts(q) == tuple("FDB000")
-    assert all(unread(row.name, cell) for row in (krl.ROW, rapid.ROW, fanuc.ROW))
+    assert all(unread_words(row.name, cell) for row in (krl.ROW, rapid.ROW, fanuc.ROW))
     assert not any(
-        unread(row.name, Cell(arm.robot())) for row, arm in ((krl.ROW, KUKA), (rapid.ROW, ABB), (fanuc.ROW, FANUC))
+        unread_words(row.name, Cell(arm.robot()))
+        for row, arm in ((krl.ROW, KUKA), (rapid.ROW, ABB), (fanuc.ROW, FANUC))
     )
 
 
@@ -286,7 +287,7 @@ def test_an_abb_that_cannot_bend_backwards_keeps_its_cfx_and_that_is_said() -> N
     rod = Cell(ABB.robot(limits))
     assert rapid_of(rod, "0", "0", "0", "0").agree(degrees(10, 20, 10, 10, -45, 10))
     assert not rapid_of(Cell(ABB.robot()), "0", "0", "0", "0").agree(degrees(10, 20, 10, 10, -45, 10))
-    assert "cfx" in unread(rapid.ROW.name, rod)
+    assert "cfx" in unread_words(rapid.ROW.name, rod)
 
 
 @pytest.mark.parametrize("mount", ['rpy="3.141592653589793 0 0"', 'rpy="0 1.5707963267948966 0.3" xyz="1 2 3"'])

@@ -17,7 +17,7 @@ from aridcal.jobs.apply.programs import krl, rewrite
 from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.project import Project, SourceFile
-from aridcal.jobs.apply.programs.proof import ProofFailure, TextChange, corrected, edited, meant
+from aridcal.jobs.apply.programs.proof import ProofFailure, TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.read_project import read_project
 from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import NUL, Number, Numbers
@@ -168,16 +168,26 @@ def test_a_proof_fails_for_two_changes_at_one_place_and_for_a_number_that_is_not
     (joints,) = [target for target in targets if target.form == "joints"]
     first = joints.numbers[0]
     right = TextChange(0, Numbers([first]), "20.5")
-    assert "A1 20.5," in corrected(krl.ROW, project, frames, meant(targets), edited(project, [right]))[0]
+    assert "A1 20.5," in corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, [right]))[0]
     with pytest.raises(ProofFailure, match="two changes at one place"):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [right, right]))
+        corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, [right, right]))
     with pytest.raises(ProofFailure):
         corrected(
-            krl.ROW, project, frames, meant(targets), edited(project, [TextChange(0, Numbers([first]), "20.5,A2 1.0")])
+            krl.ROW,
+            project,
+            frames,
+            expected_targets(targets),
+            edit_texts(project, [TextChange(0, Numbers([first]), "20.5,A2 1.0")]),
         )
     moved = type(first)(first.start - 1, first.text)
     with pytest.raises(ProofFailure, match="does not stand where it should"):
-        corrected(krl.ROW, project, frames, meant(targets), edited(project, [TextChange(0, Numbers([moved]), "20.5")]))
+        corrected(
+            krl.ROW,
+            project,
+            frames,
+            expected_targets(targets),
+            edit_texts(project, [TextChange(0, Numbers([moved]), "20.5")]),
+        )
 
 
 SLIPS: dict[str, Callable[[Target], Target]] = {
@@ -223,7 +233,9 @@ def test_a_proof_fails_whatever_the_second_reading_has_otherwise(slip: str) -> N
         first, second, third = krl.ROW.read(project, cell).targets
         return ProgramReading([first, SLIPS[slip](second), third])
 
-    (new,) = corrected(krl.ROW, project, frames, meant(targets), edited(project, changes))
+    (new,) = corrected(krl.ROW, project, frames, expected_targets(targets), edit_texts(project, changes))
     assert new.count("X 801.125,") == 3
     with pytest.raises(ProofFailure, match=f"line {targets[1].line}, "):
-        corrected(replace(krl.ROW, read=slipped), project, frames, meant(targets), edited(project, changes))
+        corrected(
+            replace(krl.ROW, read=slipped), project, frames, expected_targets(targets), edit_texts(project, changes)
+        )

@@ -26,7 +26,7 @@ from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.history.comparison import compare
 from aridcal.jobs.maintain.checking import check
 from aridcal.jobs.maintain.hypotheses import widened
-from aridcal.jobs.maintain.repair import repaired
+from aridcal.jobs.maintain.repair import repair_calibration
 
 STEP = Coefficient("elbow_joint", "axis", Basis("step", ("elbow_joint",), (0.2,)))
 SLOPE = Coefficient("shoulder_lift_joint", "axis", Basis("linear", ("shoulder_lift_joint",), (0.0,)))
@@ -146,7 +146,7 @@ def test_new_rows_of_a_cause_that_could_not_be_told_are_no_alarm_and_a_joint_tha
     assert check(doubted, rows(0.0)).good
     found = check(doubted, rows(jumped))
     assert [cause.where for cause in found.causes] == [named.final.model.robot.names[3]]
-    assert not repaired(doubted, found).saved.rivals
+    assert not repair_calibration(doubted, found).saved.rivals
 
 
 @pytest.mark.parametrize("which", [0, 1])

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.effect_kind import turns
 from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.search import products, state
 from aridcal.engine.search.evidence import Score, solve
-from aridcal.engine.search.grids import Grid, grid_of, local, moving
+from aridcal.engine.search.grids import Grid, grid_of, local, moving_slots
 from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.scoring import refine, signed_ranks
 from aridcal.engine.search.screening import score_all, score_without
@@ -210,7 +210,7 @@ def test_a_grid_of_slots_that_move_in_some_rows_alone_gives_what_its_columns_giv
     def made(there: np.ndarray, count: int):
         slots = tuple(rng.normal(size=(n, size, count)) * there[:, None, None] for size in sizes)
         full = [np.einsum("nse,nd->nsed", g, values).reshape(n * g.shape[1], -1) for g in slots]
-        return grid_of(*moving(slots), functions), full
+        return grid_of(*moving_slots(slots), functions), full
 
     first, one = made(np.arange(n) % 3 == 0, 4)
     second, two = made(np.arange(n) % 2 == 0, 1)

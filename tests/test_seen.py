@@ -20,7 +20,7 @@ from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import BLOCK, problem
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, inside, largest
+from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, in_ranges, largest
 from aridcal.jobs.apply.target_poses import predict, read_query
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -47,7 +47,7 @@ def test_rows_like_those_seen_are_in_no_hole(how: str, n: int) -> None:
     flagged = []
     for _ in range(60):
         q, unseen = (np.array([draws(rng, how, k) for _ in range(6)]) for k in (n, 100))
-        flagged.append(np.any([inside(u, holes(v)) for u, v in zip(unseen, q, strict=True)], axis=0).mean())
+        flagged.append(np.any([in_ranges(u, holes(v)) for u, v in zip(unseen, q, strict=True)], axis=0).mean())
     assert np.mean(flagged) < (0.12 if (how, n) == ("thinning out", 50) else 0.05)
 
 
@@ -58,7 +58,7 @@ def test_a_hole_is_found_whole(n: int) -> None:
     for _ in range(40):
         q = rng.uniform(-LIMIT, LIMIT, 2 * n)
         q = q[np.abs(q) > 0.3][:n]
-        found.append(inside(rng.uniform(-0.3, 0.3, 100), holes(q)).mean())
+        found.append(in_ranges(rng.uniform(-0.3, 0.3, 100), holes(q)).mean())
     assert np.mean(found) > 0.95
 
 
@@ -67,10 +67,10 @@ def test_every_hole_is_found_and_nothing_beside_it() -> None:
     (a, b), (c, d) = holes(values)
     assert 1.0 < a < 1.05 and 2.95 < b < 3.0
     assert 4.0 < c < 4.05 and 4.45 < d < 4.5
-    assert inside(np.array([0.5, 1.0, 2.0, 3.0, 4.2, 4.5, 6.0]), ((a, b), (c, d))).tolist() == [
+    assert in_ranges(np.array([0.5, 1.0, 2.0, 3.0, 4.2, 4.5, 6.0]), ((a, b), (c, d))).tolist() == [
         False, False, True, False, True, False, False
     ]  # fmt: skip
-    assert not inside(np.array([1.0, np.nan]), ()).any()
+    assert not in_ranges(np.array([1.0, np.nan]), ()).any()
 
 
 @pytest.mark.parametrize(

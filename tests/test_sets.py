@@ -125,10 +125,10 @@ def test_another_set_takes_the_place_with_odds_of_20_to_1_or_with_fewer_curves_a
     mine, other = a_set(3), a_set(curves)
     monkeypatch.setattr(set_exchange, "_distant_sets", lambda *_: iter(()))
     monkeypatch.setattr(set_exchange, "_set_of_families", lambda *_: other)
-    monkeypatch.setattr(set_exchange, "grown", lambda state, *_: (state, ()))
-    monkeypatch.setattr(set_exchange, "tidied", lambda state, *_: state)
+    monkeypatch.setattr(set_exchange, "grow", lambda state, *_: (state, ()))
+    monkeypatch.setattr(set_exchange, "tidy", lambda state, *_: state)
     monkeypatch.setattr(set_exchange, "evidence_of_set", lambda state, *_: more if state is other else 0.0)
-    found = set_exchange.regrown(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
+    found = set_exchange.regrow_sets(mine, Choices.of([]), SILENT)  # type: ignore[arg-type]
     assert found is (other if taken else mine)
 
 

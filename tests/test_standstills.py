@@ -14,7 +14,7 @@ from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.scatter import Scatter, place
 from aridcal.engine.fit.shared_readings import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
 from aridcal.engine.fit.stages import fit_geometry
-from aridcal.engine.fit.variance_components import estimate, one_more
+from aridcal.engine.fit.variance_components import add_component, estimate
 from aridcal.engine.rows.dataset import Dataset, with_places
 
 RNG = np.random.default_rng(0)
@@ -151,7 +151,7 @@ def test_a_motion_that_rows_share_is_found_with_its_size_beside_unknown_markers(
         rng = np.random.default_rng(seed)
         y = 0.2 * rng.normal(size=there.shape) * there + 0.5 * root * rng.normal(size=(len(there), 1))
         drawn = replace(scatter, y=y)
-        more = one_more(drawn, estimate(drawn, np.array([0.04]), held), held)
+        more = add_component(drawn, estimate(drawn, np.array([0.04]), held), held)
         assert more is not None
         found.append((more[1].sigma, more[1].sigma_std))
     sigma, std = np.array(found).transpose(1, 0, 2)

@@ -63,7 +63,7 @@ def _all_kinds(candidates: Any) -> Any:
 
 
 # Name of a row of the table of kinds.
-EffectKind = Annotated[str, one_of(KINDS)]
+KindName = Annotated[str, one_of(KINDS)]
 
 
 def _as_xacro(value: Any) -> Any:
@@ -140,7 +140,7 @@ class FrameSettings(Placement):
         return self
 
 
-def placed(settings: FrameSettings | TargetSettings) -> EndFrame:
+def frame_values(settings: FrameSettings | TargetSettings) -> EndFrame:
     """A frame as a campaign states it."""
     by_station = isinstance(settings, FrameSettings) and settings.per is not None
     return EndFrame(pin.SE3(settings.homogeneous), settings.identify, by_station)
@@ -187,7 +187,7 @@ class Moment(Section):
 class EffectDeclaration(Section):
     """An effect that the user knows of: what, where, and what the kind needs besides."""
 
-    kind: EffectKind
+    kind: KindName
     where: str
     with_: str | None = Field(default=None, alias="with")
     """The other joint of a `joint_coupling`."""
@@ -220,7 +220,7 @@ class DiagnosisSettings(Section):
     """Whether to look for effects that nobody declared, and for which."""
 
     enabled: bool = True
-    candidates: Annotated[tuple[EffectKind, ...], BeforeValidator(_all_kinds)] = Field(
+    candidates: Annotated[tuple[KindName, ...], BeforeValidator(_all_kinds)] = Field(
         default_factory=lambda: _all_kinds("all")
     )
 
@@ -335,9 +335,9 @@ class JobSettings(Settings):
         """The question to its rows: frames, constants, effects."""
         gravity, targets = self.robot.gravity, self.instruments.targets
         return Question(
-            world_base=placed(self.frames.world_base),
-            tip_target=placed(self.frames.tip_target),
-            targets={label: placed(target) for label, target in targets.items()},
+            world_base=frame_values(self.frames.world_base),
+            tip_target=frame_values(self.frames.tip_target),
+            targets={label: frame_values(target) for label, target in targets.items()},
             target_on=self.instruments.targets_on(self.robot.tip),
             constants=self.parameters.set,
             gravity=None if gravity == "world" else np.array(gravity, dtype=float),

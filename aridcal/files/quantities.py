@@ -23,9 +23,9 @@ from aridcal.files.orientations import (
     QUATERNION_SLACK,
     column_of,
     normalised,
-    of_matrices,
     orientation_columns,
-    other_way,
+    quaternions_of_matrices,
+    swap_direction,
     turned,
 )  # fmt: skip
 from aridcal.files.yaml_file import FINEST, LARGEST
@@ -191,7 +191,7 @@ class TableSource:
         if self.settings.inverted is None:
             return position, quaternion
         with np.errstate(invalid="ignore"):  # of cells that are refused
-            _, p = other_way(pose.turned(quaternion).as_matrix(), position, self.settings.inverted)
+            _, p = swap_direction(pose.turned(quaternion).as_matrix(), position, self.settings.inverted)
         return p, quaternion * CONJUGATE
 
     def position(self) -> np.ndarray:
@@ -222,7 +222,7 @@ class TableSource:
             return self._from_angles(columns)
         cells = self.needed(columns, 1.0)
         if self.settings.orientation.matrix:
-            quaternion, off = of_matrices(cells, self.usable)
+            quaternion, off = quaternions_of_matrices(cells, self.usable)
             self.refuse(off > MATRIX_SLACK, f"{columns[0]} … {columns[-1]}", "the matrix is no rotation", off)
         else:
             quaternion, norm = normalised(cells, self.usable)

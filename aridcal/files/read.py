@@ -13,10 +13,10 @@ from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.pose import pose_numbers, turned
 from aridcal.engine.instruments.setup import TIP, Block
 from aridcal.engine.robot.chain import JointKind, Robot, Route, check_route
-from aridcal.engine.rows.dataset import Dataset, RowNoise, together, weighed, weighed_apart
+from aridcal.engine.rows.dataset import Dataset, RowNoise, joined_datasets, weighed, weighed_apart
 from aridcal.engine.rows.remarks import Remark
 from aridcal.engine.rows.repeats import blocks, by_content, places
-from aridcal.engine.rows.row_facts import ROLES, Labels, Origin, Repeats, untold
+from aridcal.engine.rows.row_facts import ROLES, Labels, Origin, Repeats, no_labels
 from aridcal.engine.rows.split import draw_split, with_training_rows
 from aridcal.files.campaign import Campaign
 from aridcal.files.checks import (
@@ -31,8 +31,14 @@ from aridcal.files.checks import (
 from aridcal.files.measurement_settings import LABELLED, SHOT, TARGET, MeasurementSettings
 from aridcal.files.quantities import TableSource
 from aridcal.files.routes import needed_columns, numbered, routes_of
-from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, known_of, with_trackers
-from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest, shortened
+from aridcal.files.things import (
+    InstrumentDeclarations,
+    ThingReferences,
+    instrument_declarations,
+    instruments_of,
+    with_trackers,
+)
+from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest, shortened
 from aridcal.system.reading.dates import DAY, NIGHTS, unrolled
 from aridcal.system.reading.memory_release import give_back
 
@@ -43,7 +49,7 @@ ONE_TARGET = "target"
 """Label of the target of rows that name none, where others do."""
 
 
-def own_target(kind: MeasurementKind, title: str) -> str:
+def default_target(kind: MeasurementKind, title: str) -> str:
     """Label of the target for rows of a block that name none: the tip for links, a level's own frame, else the only target."""
     if kind.bare:
         return TIP
@@ -105,7 +111,7 @@ def load_measurements(
         MeasurementError: a file cannot be read, lacks columns, is not in the stated units, has two orientations that
             disagree, or has no usable row; or a station that needs a frame of its own has held-out rows only.
     """
-    declarations, own_files = known_of(campaign), files is None
+    declarations, own_files = instrument_declarations(campaign), files is None
     robot = robot if campaign.links else None
     request = _Request(
         campaign, tuple(readings), limits, tuple(kinds), seed, require_pose, fitted, own_files, declarations, robot
@@ -116,7 +122,7 @@ def load_measurements(
     if not (direct or fitted):
         parts_by_number = {number: part for (number, _), part in zip(of_blocks, parts, strict=True)}
         parts = [parts_by_number.get(k) or _without_rows(parts[0], block) for k, block in enumerate(campaign.blocks)]
-    rows = parts[0].rows if direct else _with_targets(campaign, together([part.rows for part in parts]))
+    rows = parts[0].rows if direct else _with_targets(campaign, joined_datasets([part.rows for part in parts]))
     if fitted:
         by_draw = np.repeat([not part.rows.origin.split_given for part in parts], [len(part.rows) for part in parts])
         rows = with_training_rows(rows, campaign.question.by_station, by_draw)
@@ -191,7 +197,7 @@ def _read(request: _Request, number: int, tables: Sequence[AnyTable]) -> tuple[D
         target = np.full(len(table), settings.target)
     read_here = request.require_pose and not of_target
     observed = _observed(source) if read_here else position
-    nothing = untold(len(table))
+    nothing = no_labels(len(table))
     refers = _refers(source, request) if read_here else nothing.refers
     if read_here:
         camera = refers[:, 0] if settings.traits.images else None
@@ -343,7 +349,7 @@ def _default(campaign: Campaign, settings: MeasurementSettings, role: str) -> st
         return declared[0]
     if role == "camera":
         raise CampaignError(
-            f"{campaign.path}: measurements.camera: there are several cameras ({listed(declared)}); say which took the "
+            f"{campaign.path}: measurements.camera: there are several cameras ({name_list(declared)}); say which took the "
             f"images of {settings.title}: `camera: NAME`, or a column `camera`"
         )
     return settings.title
@@ -374,17 +380,19 @@ def _with_targets(campaign: Campaign, rows: Dataset) -> Dataset:
     """
     labels = rows.labels.target
     label = labels if labels is not None else np.full(len(rows), "", dtype=str)
-    defaults = {block.title: own_target(block.traits, block.title) for block in campaign.blocks}
+    defaults = {block.title: default_target(block.traits, block.title) for block in campaign.blocks}
     if labels is None and len(set(defaults.values())) == 1:
         return rows
     if TIP in label and TIP in defaults.values():
         bare = dict.fromkeys(f"`kind: {block.kind}`" for block in campaign.blocks if block.traits.bare)
-        raise MeasurementError(f"a target is called {TIP!r}, as the tip itself is beside {listed([*bare])}; rename it")
+        raise MeasurementError(
+            f"a target is called {TIP!r}, as the tip itself is beside {name_list([*bare])}; rename it"
+        )
     filled = np.where(label == "", np.array([defaults[block.name] for block in rows.blocks])[rows.labels.block], label)
     if campaign.frames.tip_target.per is not None:
         raise CampaignError(
             f"{campaign.path}: frames.tip_target: `per: station` is not for several targets "
-            f"({listed(np.unique(filled).tolist())}); delete it, and give a target that was moved a label of its own"
+            f"({name_list(np.unique(filled).tolist())}); delete it, and give a target that was moved a label of its own"
         )
     return rows.with_labels(target=filled)
 
@@ -508,7 +516,7 @@ def _tables_of_blocks(campaign: Campaign, files: Sequence[AnyTable] | None) -> l
         needed = {k: len(campaign.blocks[k].needs) for k in having}
         most = [k for k in having if needed[k] == max(needed.values())]
         if len(most) != 1:
-            titles = listed([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
+            titles = name_list([campaign.blocks[k].title for k in most] or [block.title for block in campaign.blocks])
             what = f"{'several' if most else 'none'} of the blocks {titles}"
             raise MeasurementError(
                 f"{path_of(table)}: its columns fit {what}; give it the columns of one, and that one columns that no other "

@@ -17,13 +17,13 @@ import pyarrow.compute as pc
 
 from aridcal.engine.rows.remarks import Remark
 from aridcal.files.formats import robot_calibration
-from aridcal.system.errors import SHOWN, MeasurementError, listed, nearest
+from aridcal.system.errors import SHOWN, MeasurementError, name_list, nearest
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dialect import PLAIN, Dialect
 from aridcal.system.reading.numerals import NO_NUMBER
 from aridcal.system.reading.regular_files import TABLE, Limit, read_file
 from aridcal.system.reading.table_files import FileCells, check_header, read_csv, read_parquet, whole
-from aridcal.system.reading.tables_in_dialect import read_written
+from aridcal.system.reading.tables_in_dialect import read_in_dialect
 from aridcal.system.reading.user_names import check_path
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ class Table:
         spare = [name for name in self.names if name and name not in columns]
         names_and_hints = ", ".join(repr(name) + _close(name, spare) for name in missing[:SHOWN_MISSING])
         names_and_hints += f" and {len(missing) - SHOWN_MISSING} more" if len(missing) > SHOWN_MISSING else ""
-        present = listed([name or "''" for name in self.names])
+        present = name_list([name or "''" for name in self.names])
         raise MeasurementError(f"{self.title}: no column {names_and_hints}; there are: {present}. {advice}".rstrip())
 
 
@@ -261,7 +261,7 @@ def _read_text(content: bytes, path: Path, limit: Limit, dialect: Dialect, neede
     try:
         if dialect.export:
             return read_csv(robot_calibration.as_csv(content, path, dialect.sheet), path, limit)
-        cells = read_written(content, path, limit, dialect, needed is not None)
+        cells = read_in_dialect(content, path, limit, dialect, needed is not None)
     except MeasurementError:
         if may_be_plain:
             return read_csv(content, path, limit)

@@ -27,7 +27,7 @@ from aridcal.files.instrument_settings import (
 )
 from aridcal.files.measurement_settings import BEYOND_REACH
 from aridcal.files.yaml_file import FINEST, LARGEST
-from aridcal.system.errors import CampaignError, MeasurementError, listed, nearest
+from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest
 from aridcal.system.reading.regular_files import TABLE, Limit
 from aridcal.system.reading.user_names import check_name
 
@@ -167,7 +167,7 @@ class InstrumentDeclarations:
         return places[label].xyz.tolist(), 3 * [bool(np.isfinite(places[label].std))], places[label].std
 
 
-def known_of(campaign: JobSettings) -> InstrumentDeclarations:
+def instrument_declarations(campaign: JobSettings) -> InstrumentDeclarations:
     """Read what a campaign says of its instruments, its tables of points and markers included.
 
     Raises:
@@ -373,7 +373,7 @@ def _too_few(
         ]
         if few:
             yield (
-                f"{name} {listed(few)}: with so few rows they tell where it is, and nothing of the arm; measure more of them"
+                f"{name} {name_list(few)}: with so few rows they tell where it is, and nothing of the arm; measure more of them"
             )
 
 
@@ -385,7 +385,7 @@ def _unreferred(declarations: InstrumentDeclarations, by_role: dict[str, tuple[s
     for role, labels in of_role.items():
         absent = sorted(set(labels) - set(by_role.get(role, ())))
         if absent:
-            yield f"{role} {listed(absent)}: no row refers to it; it is not used"
+            yield f"{role} {name_list(absent)}: no row refers to it; it is not used"
 
 
 def _in_world(

@@ -17,24 +17,30 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.iso9283 import STANDARD
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.instrument_results import known_scale
-from aridcal.jobs.calibrate.key_figures import another_day, constants, every_held_out_row, scored, sigma_and_error
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
+from aridcal.jobs.calibrate.key_figures import (
+    constants,
+    every_held_out_row,
+    scored,
+    sigma_and_error,
+    verification_agreement,
+)
 from aridcal.jobs.calibrate.outcome import Outcome, errors
-from aridcal.jobs.calibrate.saving import ends, holes, seen_in
+from aridcal.jobs.calibrate.saving import ends, fitted_values, holes
 from aridcal.jobs.calibrate.verdict import VERDICTS
-from aridcal.pages.drawing.html import attempt, note, noting
+from aridcal.pages.drawing.html import attempt, collect_notices, note
 from aridcal.pages.drawing.one_page import OnePage, Part, as_html, as_pdf
 from aridcal.pages.drawing.words import (
     LONGEST_NAME,
     NOT_STATED,
-    named,
+    certificate_subject,
     noise_unknown_in_words,
+    printable_name,
     scale_in_words,
-    who_and_what,
 )
-from aridcal.pages.report.iso_section import lines, what_was_made
+from aridcal.pages.report.iso_section import cycles_in_words, lines
 from aridcal.system.errors import printable, shortened
-from aridcal.system.wording import counted, number, range_in_words
+from aridcal.system.wording import number, plural, range_in_words
 
 FILES = ("certificate.html", "certificate.pdf")
 
@@ -89,7 +95,7 @@ def write_certificate(outcome: Outcome, folder: Path, issued: datetime.date) -> 
     about = outcome.campaign.about
     if about is None:
         return ()
-    with noting() as notices:
+    with collect_notices() as notices:
         texts = attempt("the certificate", lambda: _drawn(certificate(outcome, about, folder, issued)), lambda _: {})
     for name, content in texts.items():
         (folder / name).write_bytes(content)
@@ -176,7 +182,7 @@ def _judged(outcome: Outcome) -> list[_Judged]:
                 errors(outcome.stage(name).residual, own, outcome.channels)[channel.key]
                 for name in ("nominal", "final")
             )
-            noun = named(f"{channel.noun[0].upper()}{channel.noun[1:]}")
+            noun = printable_name(f"{channel.noun[0].upper()}{channel.noun[1:]}")
             scores.append(_Judged(noun, channel.shown, int(own.sum()), first, last))
     return scores[:MOST_CHANNELS]
 
@@ -184,14 +190,14 @@ def _judged(outcome: Outcome) -> list[_Judged]:
 def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
     """Who measured what, when and how."""
     m, robot = outcome.measurements, outcome.robot
-    yield from who_and_what(about, robot, m)
+    yield from certificate_subject(about, robot, m)
     temperatures = _some(list(_temperatures(m)), MOST_COVARIATES)
     yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED
-    used = f"{counted(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
-    sought = "" if outcome.diagnosis is None else f" and {counted(len(outcome.effects), 'effect')}"
+    used = f"{plural(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
+    sought = "" if outcome.diagnosis is None else f" and {plural(len(outcome.effects), 'effect')}"
     corrections = sum(p["status"] == "identified" for p in constants(outcome))
-    fitted = f"{counted(corrections, 'geometric correction')}{sought} by least squares"
-    chain = f"{named(robot.base)} to {named(robot.tip)}"
+    fitted = f"{plural(corrections, 'geometric correction')}{sought} by least squares"
+    chain = f"{printable_name(robot.base)} to {printable_name(robot.tip)}"
     stated = f"{about.method.rstrip('.')}. " if about.method else ""
     yield "Method", f"{stated}{used}; {chain}; {fitted}."
     if about.notes:
@@ -210,7 +216,7 @@ def _temperatures(m: Dataset) -> Iterator[str]:
     for name, values in m.covariates.items():
         if name.startswith("temperature") and np.isfinite(values).any():
             low, high = ends(values)
-            yield f"{named(name)} {number(low)} to {number(high)} °C in the rows"
+            yield f"{printable_name(name)} {number(low)} to {number(high)} °C in the rows"
 
 
 def _errors(outcome: Outcome, judged: Sequence[_Judged]) -> Part:
@@ -228,7 +234,7 @@ def _errors(outcome: Outcome, judged: Sequence[_Judged]) -> Part:
         said.append(f"{every_held_out_row(outcome)}.")
     else:
         said.append("No rows were held out: these are errors of the fit itself, and too optimistic.")
-    verified = another_day(outcome)
+    verified = verification_agreement(outcome)
     if verified is not None:
         said.append(shortened(printable(verified[1]), LONGEST_SENTENCE))
     return Part(f"Errors before and after, on {rows}", table=table, words=[" ".join(said), *_reasons(outcome)])
@@ -266,7 +272,7 @@ def _known(outcome: Outcome) -> _Known | None:
     precision = outcome.precision
     certainty = outcome.certainty
     if (
-        known_scale(outcome.measurements) in (None, math.inf)
+        known_scale_sigma(outcome.measurements) in (None, math.inf)
         or not np.isfinite(precision.position).all()
         or not certainty
     ):
@@ -320,16 +326,16 @@ def _uncertainty(outcome: Outcome, target: _Known | None) -> str:
 
 def _validity(outcome: Outcome) -> Iterator[tuple[str, str]]:
     """Ranges of all that predictions depend on, and the gaps in them."""
-    robot, ranges = outcome.robot, seen_in(outcome)
+    robot, ranges = outcome.robot, fitted_values(outcome)
     kinds = dict(zip(robot.readings, robot.kinds, strict=True))
-    joints = [f"{named(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
+    joints = [f"{printable_name(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
     yield "Joints", _some(joints, MOST_JOINTS)
     others = [(name, *ends(values)) for name, values in ranges.items() if name not in kinds]
     if others:
-        shown = [f"{named(name)} {number(low)} to {number(high)}" for name, low, high in others]
+        shown = [f"{printable_name(name)} {number(low)} to {number(high)}" for name, low, high in others]
         yield "Other quantities", _some(shown, MOST_COVARIATES)
     gaps = [
-        f"{named(name)} {range_in_words(gap, kinds[name]) if name in kinds else ' to '.join(map(number, gap))}"
+        f"{printable_name(name)} {range_in_words(gap, kinds[name]) if name in kinds else ' to '.join(map(number, gap))}"
         for name, values in ranges.items()
         for gap in holes(values)
     ]
@@ -349,19 +355,19 @@ def _iso(outcome: Outcome) -> Iterator[Part]:
         yield Part(
             f"Figures by the definitions of {STANDARD}",
             table=[head, *lines(outcome.iso)],
-            words=[what_was_made(outcome.iso)],
+            words=[cycles_in_words(outcome.iso)],
         )
 
 
 def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     """Files and their hashes, as ``sha256sum`` gives them."""
     campaign, m = outcome.campaign, outcome.measurements
-    yield named(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
+    yield printable_name(campaign.path.name), sha256(_as_read(campaign.path, campaign.text))
     source, plain = campaign.robot.urdf.name, outcome.robot.path.name
-    yield named(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
+    yield printable_name(plain if source == plain else f"{source}, expanded"), sha256(outcome.robot.urdf)
     if m.origin.sha256:
         files = [path.name for path in m.origin.files]
-        one = named(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
+        one = printable_name(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
         yield shortened(printable(one), LONGEST_NAME) + _joined(m), m.origin.sha256
     for name in HASHED:
         yield name, sha256((folder / name).read_bytes())

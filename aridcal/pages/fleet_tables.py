@@ -9,11 +9,11 @@ from typing import Any
 import pandas as pd
 
 from aridcal.jobs.fleet.drifts import drifting
-from aridcal.jobs.fleet.outliers import OutlyingFigure, standing_out
+from aridcal.jobs.fleet.outliers import OutlyingFigure, outlying_robots
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
 from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
 from aridcal.jobs.fleet.runs import FleetResults
-from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, found_again, points, scatters
+from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, points, recurrent_effects, scatters
 from aridcal.jobs.fleet.study_records import SCHEMA as OF_RUNS
 from aridcal.jobs.fleet.study_records import StudyResult
 
@@ -48,7 +48,7 @@ def nested_table(ran: FleetResults, column: str) -> pd.DataFrame:
 
 def outstanding_table(ran: FleetResults) -> pd.DataFrame:
     """Numbers of robots that stand out of their make, the farthest first, [m] and [rad]."""
-    outliers, _ = standing_out(list(ran.now.values()))
+    outliers, _ = outlying_robots(list(ran.now.values()))
     return pd.DataFrame([asdict(out) for out in outliers], columns=_names(OutlyingFigure))
 
 
@@ -78,9 +78,9 @@ def _case(point: CaseFigures) -> Row:
     return row
 
 
-def again_table(halves: Sequence[Row]) -> pd.DataFrame:
+def recurrent_table(halves: Sequence[Row]) -> pd.DataFrame:
     """Effects that runs on halves of a campaign's rows found, and the share of runs, most first."""
-    rows = [{"effect": label} | _estimate("share", share) for label, share in found_again(halves)]
+    rows = [{"effect": label} | _estimate("share", share) for label, share in recurrent_effects(halves)]
     return pd.DataFrame(rows, columns=["effect", *_estimate("share", None)])
 
 

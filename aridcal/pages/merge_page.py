@@ -10,7 +10,7 @@ from markupsafe import Markup
 from aridcal import __version__
 from aridcal.jobs.merge.log_rows import MergeResult
 from aridcal.jobs.merge.standstills import speeds
-from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, below, beside, drawn_or_missing
+from aridcal.pages.drawing.figures import AFTER, BEFORE, TICKS, WIDE, drawn_or_missing, label_below, label_beside
 from aridcal.pages.drawing.html import Content, bullets, figures, table, tag
 from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.drawing.plot import (
@@ -164,7 +164,7 @@ def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -
     left = 2 * LINE + room_for(y, TICKS[1]) - 8
     head, high = legend(entries, left, WIDE)
     area = Area(left, high + 4, WIDE - left - 8, HEIGHT - high - 42, Scale(begin, end), y)
-    parts = [head, frame(area, TICKS), beside(area, "speed [m/s]")]
+    parts = [head, frame(area, TICKS), label_beside(area, "speed [m/s]")]
     inside = [line(area, x, v, color, 1.4) for (x, v), color in zip(curves, (AFTER, BEFORE), strict=True)]
     parts.append(clipped(key, area, "".join(inside)))
     tracked = merged.tracked
@@ -201,7 +201,7 @@ def _points(key: str, alt: str, x: np.ndarray, y: np.ndarray, label: str, zero: 
     inside = dots(area, x, y, AFTER, 3.2, 0.8) + (level(area, 0.0, EDGE) if zero else "")
     return whole(
         alt, WIDE, area.bottom + 34,
-        [frame(area, TICKS), below(area, "joints' clock [s]"), beside(area, label), clipped(key, area, inside)],
+        [frame(area, TICKS), label_below(area, "joints' clock [s]"), label_beside(area, label), clipped(key, area, inside)],
         "plot wide",
     )  # fmt: skip
 

@@ -17,7 +17,7 @@ from aridcal.pages.drawing.fields import color_steps, field
 from aridcal.pages.drawing.figures import coverage, falling
 from aridcal.pages.drawing.html import Content, bullets, figures, fold, table, tag
 from aridcal.pages.drawing.page_frame import framed_page, sections
-from aridcal.system.wording import counted, number, range_in_words, reading_in_words
+from aridcal.system.wording import number, plural, range_in_words, reading_in_words
 
 VIEWS = {"from above": (0, 1), "from the side": (0, 2)}
 """Two planes in which targets are shown: numbers of their axes."""
@@ -47,7 +47,7 @@ def plan_page(plan: Plan, robot: Robot, title: str) -> Markup:
         title: What the plan is for.
     """
     n = len(plan.readings)
-    heading = f"{counted(n, 'configuration')} to measure"
+    heading = f"{plural(n, 'configuration')} to measure"
     chapters = [
         ("How many?", _how_many(plan)),
         ("Where?", _where(plan, robot)),
@@ -78,7 +78,7 @@ def _summary(plan: Plan) -> Iterator[Content]:
             "prediction, not a promise.",
         )
     if plan.measured:
-        yield tag("p", f"They add to {counted(plan.measured, 'row')} measured before.")
+        yield tag("p", f"They add to {plural(plan.measured, 'row')} measured before.")
     if plan.notices:
         yield bullets(plan.notices)
 

@@ -15,12 +15,12 @@ from aridcal.jobs.calibrate.outcome import errors
 from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.repair import Repair, RepairChange
 from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
-from aridcal.pages.drawing.html import Content, attempt, bullets, noting, table, tag
+from aridcal.pages.drawing.html import Content, attempt, bullets, collect_notices, table, tag
 from aridcal.pages.drawing.page_frame import Section, card, empty_page, framed_page
 from aridcal.pages.report.identified_section import identified
 from aridcal.pages.report.limits_section import use
-from aridcal.pages.report.page import drawn, foot
-from aridcal.system.wording import counted, number, plus_minus, shown_in
+from aridcal.pages.report.page import draw_section, foot
+from aridcal.system.wording import number, plural, plus_minus, shown_unit
 
 MOST_ROWS = 40
 """New rows that the page lists; of more the worst."""
@@ -49,7 +49,7 @@ def write_repair_report(
     Returns:
         Notices: what could not be drawn, and why.
     """
-    with noting() as notices:
+    with collect_notices() as notices:
         text = attempt(
             "report.html",
             lambda: _page(repair, checked, mended, lineage, lines, handover),
@@ -76,8 +76,8 @@ def _page(
         ("lineage", "5. Where does it come from?", _lineage(lineage)),
     ]
     m = repair.rows.measurements
-    head = drawn("Summary", _summary(repair, checked, mended))
-    parts = [Section(title, drawn(title, content), key) for key, title, content in chapters]
+    head = draw_section("Summary", _summary(repair, checked, mended))
+    parts = [Section(title, draw_section(title, content), key) for key, title, content in chapters]
     return framed_page(f"Repair of {repair.rows.robot.tree.name}", head, parts, foot(m))
 
 
@@ -86,7 +86,7 @@ def _summary(repair: RepairOutcomes, checked: CheckResult, mended: Repair) -> It
     m, robot = repair.rows.measurements, repair.rows.robot
     names = ", ".join(path.name for path in m.origin.files)
     yield tag("h1", f"Repair of {robot.tree.name}")
-    yield tag("p", f"{names} · {counted(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
+    yield tag("p", f"{names} · {plural(len(m), 'new row')} · {robot.path.name}, {robot.from_to}", class_="about")
     channels = [k for k, channel in enumerate(m.channels) if m.measures[:, k].any() and not channel.inner]
     yield tag("div", [_card(repair, k) for k in channels], class_="cards")
     moved = [change.cause.words for change in mended.changes]
@@ -136,7 +136,7 @@ def _moved(mended: Repair, lines: list[str]) -> Iterator[Content]:
 def _changes(change: RepairChange) -> Iterator[list[Content]]:
     """A line for each coefficient of what moved."""
     for name, unit, value, std in zip(change.names, change.units, change.value, change.std, strict=True):
-        shown, scale = shown_in(unit)
+        shown, scale = shown_unit(unit)
         sure = "stated" if change.cause.kind == "new" else f"{100 * min(change.cause.probability, 0.999):.1f} %"
         yield [tag("code", name), f"{plus_minus(scale * value, scale * std)} {shown}", sure]
 

@@ -10,14 +10,14 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
-from aridcal.jobs.fleet.study_figures import CONFIDENCE, CaseFigures, Estimate, found_again, points, scatters
+from aridcal.jobs.fleet.study_figures import CONFIDENCE, CaseFigures, Estimate, points, recurrent_effects, scatters
 from aridcal.jobs.fleet.study_records import StudyResult
-from aridcal.pages.drawing.figures import COLOURS, banded
+from aridcal.pages.drawing.figures import COLOURS, banded_curves
 from aridcal.pages.drawing.html import Content, figures, table, tag
 from aridcal.pages.drawing.page_frame import framed_page, sections
-from aridcal.pages.fleet_sections import drawn
+from aridcal.pages.fleet_sections import draw_section
 from aridcal.system.errors import shortened
-from aridcal.system.wording import counted, number, shown_in
+from aridcal.system.wording import number, plural, shown_unit
 
 INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
 
@@ -45,11 +45,11 @@ def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Mark
     failed = [row for row in done.rows if row["status"] == FAILED]
     if failed or done.remaining:
         chapters.append(("Not done", lambda: _not_done(failed, done)))
-    heading = f"{counted(len(done.rows), 'run')}"
+    heading = f"{plural(len(done.rows), 'run')}"
     drawn_once = len({row["run"] for row in done.rows})
-    how = "each from half of the fitted rows" if halves else f"{counted(drawn_once, 'machine')} in each case"
+    how = "each from half of the fitted rows" if halves else f"{plural(drawn_once, 'machine')} in each case"
     head = [tag("p", f"Study of {title}", class_="about"), tag("h1", heading), tag("p", f"{heading}, {how}.")]
-    parts = sections([(name, drawn("study.html", name, content)) for name, content in chapters])
+    parts = sections([(name, draw_section("study.html", name, content)) for name, content in chapters])
     return framed_page(f"{heading}: {title}", head, parts, f"aridcal {__version__}; every run is in study.parquet")
 
 
@@ -62,7 +62,7 @@ def _power(cases: Sequence[CaseFigures], effect: str) -> Iterator[Content]:
     )
     yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.found), 100.0))
     lines = [
-        [_case(p), counted(p.runs, "run"), *(_share(value) for value in (p.found, p.named, p.others))] for p in cases
+        [_case(p), plural(p.runs, "run"), *(_share(value) for value in (p.found, p.named, p.others))] for p in cases
     ]
     head = ["case", "", "found", "named itself", "something that is not there"]
     yield table(head, lines, f"Shares of runs, with their {INTERVAL} (Wilson)", numbers=1)
@@ -82,7 +82,7 @@ def _error(cases: Sequence[CaseFigures], rows: Sequence[Row]) -> Iterator[Conten
         yield figures(pictures)
     true = any(p.true is not None for p in cases)
     lines = [
-        [_case(p), counted(p.runs, "run"), *([_median(p.true, "mm")] if true else []), _median(p.final, unit)]
+        [_case(p), plural(p.runs, "run"), *([_median(p.true, "mm")] if true else []), _median(p.final, unit)]
         for p in cases
     ]
     head = ["case", "", *(["against the truth"] if true else []), "as measured"]
@@ -91,7 +91,7 @@ def _error(cases: Sequence[CaseFigures], rows: Sequence[Row]) -> Iterator[Conten
 
 def _again(rows: Sequence[Row]) -> Iterator[Content]:
     """Effects of the halves."""
-    shares = found_again(rows)
+    shares = recurrent_effects(rows)
     if not shares:
         yield tag("p", "No half of the rows shows an effect beyond the constants.")
         return
@@ -112,7 +112,7 @@ def _constants(rows: Sequence[Row]) -> Iterator[Content]:
     )
     lines: list[list[Content]] = []
     for s in scatters(rows):
-        unit, times = shown_in(s.unit)
+        unit, times = shown_unit(s.unit)
         stated = times * s.std / np.sqrt(2.0)
         value, low, high = (number(times * v, 2) for v in (s.scatter, s.low, s.high))
         ratio = number(times * s.scatter / stated, 2) if stated > 0 else "–"
@@ -131,7 +131,7 @@ def _not_done(failed: Sequence[Row], done: StudyResult) -> Iterator[Content]:
         lines = [[f"{times:,}", shortened(why, 500)] for why, times in count.most_common(MOST_ERRORS)]
         yield table(["runs", "why"], lines, "Runs that failed", numbers=2)
     if done.remaining:
-        yield tag("p", f"{counted(done.remaining, 'run')} not done, for {done.gone}.")
+        yield tag("p", f"{plural(done.remaining, 'run')} not done, for {done.gone}.")
 
 
 def _by_rows_or_sizes(
@@ -152,11 +152,13 @@ def _by_rows_or_sizes(
             "runs" if size is None else f"size {size:g}": np.array([at.get((n, size), nothing) for n in rows])
             for size in chosen
         }
-        picture = banded(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
+        picture = banded_curves(f"{label}-rows", f"{label} against rows", np.array(rows), curves, ("rows", label), top)
         pictures.append((f"Against the number of rows; bands are {INTERVAL}s", picture))
     if len(sizes) > 1:
         curves = {f"{n:,} rows": np.array([at.get((n, size), nothing) for size in sizes]) for n in _spread(rows)}
-        picture = banded(f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top)
+        picture = banded_curves(
+            f"{label}-size", f"{label} against the size", np.array(sizes), curves, ("size", label), top
+        )
         pictures.append(("Against the size of the effect, in what the scenario states", picture))
     return pictures
 

@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aridcal.jobs.fleet.cluster import dask_engine
-from aridcal.jobs.fleet.local_engine import here
+from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.fleet.members import TAKEN, Member
-from aridcal.jobs.fleet.runs import FleetResults, computed, planned
+from aridcal.jobs.fleet.runs import FleetResults, computed, plan_runs
 from aridcal.pages.fleet_page import fleet_page
 from aridcal.runs.result_folder import write_folder
 from aridcal.system.errors import shortened
 from aridcal.system.progress import PrintedAnswer, Progress
-from aridcal.system.wording import counted
+from aridcal.system.wording import plural
 from aridcal.system.writing.staging import clear_up
 from aridcal.system.writing.whole_files import atomic_file, claimed
 
@@ -89,8 +89,8 @@ def calibrated_fleet(fleet: Sequence[Member], out: Path, scheduler: str | None, 
     with claimed(out, "folder", TAKEN):
         out.mkdir(exist_ok=True)
         try:
-            plan = planned(fleet, out, write_folder, progress)
-            with dask_engine(scheduler, progress) if plan.tasks else nullcontext(here) as engine:
+            plan = plan_runs(fleet, out, write_folder, progress)
+            with dask_engine(scheduler, progress) if plan.tasks else nullcontext(run_tasks) as engine:
                 ran = computed(plan, engine, progress)
         finally:
             clear_up(out, out)  # what workers have left that were stopped in the middle of a folder
@@ -107,14 +107,14 @@ def summary(ran: FleetResults) -> list[str]:
     done = len(ran.now) - len(ran.failed) - sum(name in ran.now for name in ran.remaining)
     requested = done + len(ran.failed) + len(ran.remaining)
     known_part = f", {len(ran.kept):,} of them known already" if ran.kept else ""
-    lines = [f"{done:,} of {counted(requested, 'robot')} done{known_part}"]
+    lines = [f"{done:,} of {plural(requested, 'robot')} done{known_part}"]
     if ran.failed:
-        lines.append(f"{counted(len(ran.failed), 'robot')} failed:")
+        lines.append(f"{plural(len(ran.failed), 'robot')} failed:")
         failures = list(ran.failed.items())
         lines += [f"  {name}: {shortened(why, 400)}" for name, why in failures[:MOST_NAMED]]
         lines += _more(len(failures))
     if ran.remaining:
-        lines.append(f"{counted(len(ran.remaining), 'robot')} remain, for {ran.gone}:")
+        lines.append(f"{plural(len(ran.remaining), 'robot')} remain, for {ran.gone}:")
         lines += [f"  {name}" for name in ran.remaining[:MOST_NAMED]]
         lines += _more(len(ran.remaining))
         lines.append("start the same command again: what is done stays")

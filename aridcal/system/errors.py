@@ -87,7 +87,7 @@ def shortened(text: str, most: int = SHOWN) -> str:
     return text if len(text) <= most else f"{text[: most - 1]}…"
 
 
-def listed(names: Sequence[str]) -> str:
+def name_list(names: Sequence[str]) -> str:
     """Names for a message: the first of them, and how many more there are."""
     more = f" and {len(names) - SHOWN_NAMES:,} more" if len(names) > SHOWN_NAMES else ""
     return ", ".join(shortened(name) for name in names[:SHOWN_NAMES]) + more
@@ -100,4 +100,4 @@ def nearest(name: str, choices: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, short, n=1, cutoff=0.5) if len(name) <= SHOWN else []
     if close:
         return f" (did you mean {close[0]!r}?)"
-    return f" (known: {listed(names)})" if names else ""
+    return f" (known: {name_list(names)})" if names else ""

@@ -44,7 +44,7 @@ BAR = 20
 """Letters of a bar."""
 
 
-def unheard(stream: IO[str]) -> None:
+def silence_stream(stream: IO[str]) -> None:
     """Nobody reads a stream any more: what is still printed goes nowhere. Python would try once more at its end, and complain."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, stream.fileno())
@@ -68,7 +68,7 @@ class Screen(Console):
 
     def on_broken_pipe(self) -> None:
         """Rich would end the program with status 1."""
-        unheard(self.file)
+        silence_stream(self.file)
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ SILENT = Progress(lambda _: None)
 
 
 @contextmanager
-def told_on(console: Console) -> Iterator[Progress]:
+def console_progress(console: Console) -> Iterator[Progress]:
     """Progress of a command: a line for each step, and inside it one line that is overwritten; in a pipe lines alone.
 
     Args:

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.condition_kinds import CONDITION_KINDS
 from aridcal.engine.corrections.effect import ROW_ORDER, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, ObservedRows
+from aridcal.engine.corrections.effect_kind import Declaration, EffectKind, ObservedRows
 from aridcal.engine.corrections.head_kinds import HEAD_KINDS
 from aridcal.engine.corrections.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.engine.corrections.joint_kinds import JOINT_KINDS
@@ -21,7 +21,7 @@ from aridcal.system.errors import CampaignError, nearest
 
 _ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
-KINDS: dict[str, Kind] = {kind.name: kind for kind in _ROWS}
+KINDS: dict[str, EffectKind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9

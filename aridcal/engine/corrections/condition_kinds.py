@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDER, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, ObservedRows, middle, slope
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows, rounded_mean, slope
 
 STANDING = {
     "anchor": ("x", "y", "z", "offset"),
@@ -32,7 +32,7 @@ evidence."""
 def _thermal(rows: ObservedRows) -> Iterator[Effect]:
     """Difference T - mean(T) for each motion of each place, of frames several together; of a rail also times its travel."""
     for column in rows.columns("temperature"):
-        mean = middle(rows.table[column])
+        mean = rounded_mean(rows.table[column])
         for j in rows.robot.joints:
             for component in ("axis", *FRAME_COMPONENTS):
                 yield Effect("thermal", j.name, (slope(j.name, component, column, mean),))
@@ -56,7 +56,7 @@ def _drift(rows: ObservedRows) -> Iterator[Effect]:
     """Difference t - mean(t) for each motion of a frame, for its shift, its turn and both, and for each joint's zero."""
     if "time" not in rows.measured:
         return
-    mean = middle(rows.table["time"])
+    mean = rounded_mean(rows.table["time"])
     for where in FRAMES:
         yield from _of_a_frame("drift", where, "time", mean)
     for j in rows.moving():
@@ -95,7 +95,7 @@ def _payload_compliance(rows: ObservedRows) -> Iterator[Effect]:
 
 
 CONDITION_KINDS = (
-    Kind(
+    EffectKind(
         "thermal",
         where="a joint, `world_base` or `tip_target`",
         words="it grows or shifts with temperature",
@@ -105,7 +105,7 @@ CONDITION_KINDS = (
         testable=_thermal,
         columns=lambda d: d.covariates or ("temperature",),
     ),
-    Kind(
+    EffectKind(
         "drift",
         where="`world_base`, `tip_target` or a joint",
         words="a frame or a zero that moved while these rows were measured",
@@ -115,7 +115,7 @@ CONDITION_KINDS = (
         testable=_drift,
         columns=lambda _: ("time",),
     ),
-    Kind(
+    EffectKind(
         "shift",
         where="`world_base`, `tip_target`, a joint, or a thing that rows refer to",
         words="it moved once, between two rows",
@@ -126,7 +126,7 @@ CONDITION_KINDS = (
         key="at",
         columns=lambda d: ("time",) if d.at is not None and d.at.time is not None else (),
     ),
-    Kind(
+    EffectKind(
         "payload_compliance",
         where="a joint",
         words="it yields under the payload",

@@ -93,7 +93,7 @@ class ObservedRows:
 
 
 @dataclass(frozen=True)
-class Kind:
+class EffectKind:
     """One row of the table of kinds. Whatever is to be known of a kind stands here, and nowhere else.
 
     Attributes:
@@ -146,7 +146,7 @@ def slope(where: str, component: str, of: str, centre: float = 0.0) -> Coefficie
     return Coefficient(where, component, Basis("linear", (of,), (centre,)))
 
 
-def middle(values: np.ndarray) -> float:
+def rounded_mean(values: np.ndarray) -> float:
     """The mean of a covariate, rounded so that a basis made from it reads back from a file."""
     return round(float(np.mean(values)), 9)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator
 
 from aridcal.engine.corrections.basis import ALWAYS, Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, ObservedRows
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows
 from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG
 
 POWERS = (2.0, 3.0)
@@ -16,7 +16,7 @@ PLACES_EACH = 2
 """Places on a plate for each number of its shape, the three of its plane counted, from which that shape is asked about."""
 
 
-def of_things(
+def thing_effects(
     kind: str, roles: Collection[str], *alternatives: tuple[str, ...]
 ) -> Callable[[ObservedRows], Iterator[Effect]]:
     """Effects at the things of some roles: components off their stated values, where these are not identified anyway."""
@@ -37,7 +37,7 @@ def _of_role(rows: ObservedRows, role: str) -> Iterator[str]:
 
 def _range_error(rows: ObservedRows) -> Iterator[Effect]:
     """A tracker that is off along the line of sight by its range squared; a wire that is off by a power of its length."""
-    yield from of_things("range_error", ("tracker",), ("square",))(rows)
+    yield from thing_effects("range_error", ("tracker",), ("square",))(rows)
     for where in _of_role(rows, "anchor"):
         for power in POWERS:
             basis = Basis("power", (where + LENGTH,), (0.0, 1.0, power))
@@ -73,25 +73,25 @@ def _product(of: str, other: str, exponent: float) -> Basis:
 
 
 INSTRUMENT_KINDS = (
-    Kind(
+    EffectKind(
         "tracker_scale",
         where="a block of poses or positions beside others",
         words="the instrument's lengths are all too long or too short",
         bases=("ones",),
         example="{kind: tracker_scale, where: pose}",
         doc="of-instruments",
-        testable=of_things("tracker_scale", ("tracker",), ("scale",)),
+        testable=thing_effects("tracker_scale", ("tracker",), ("scale",)),
     ),
-    Kind(
+    EffectKind(
         "distance_scale",
         where="an anchor",
         words="the instrument's reading grows too fast or too slowly with the distance",
         bases=("ones",),
         example="{kind: distance_scale, where: rail}",
         doc="of-instruments",
-        testable=of_things("distance_scale", ("anchor",), ("scale",)),
+        testable=thing_effects("distance_scale", ("anchor",), ("scale",)),
     ),
-    Kind(
+    EffectKind(
         "range_error",
         where="an anchor, or a block of poses or positions beside others",
         words="the reading is off by the square or the cube of the distance",
@@ -101,7 +101,7 @@ INSTRUMENT_KINDS = (
         testable=_range_error,
         exclusive=True,
     ),
-    Kind(
+    EffectKind(
         "wire_sag",
         where="an anchor",
         words="the wire hangs in a bow and reads too long",
@@ -110,7 +110,7 @@ INSTRUMENT_KINDS = (
         doc="of-instruments",
         testable=_wire_sag,
     ),
-    Kind(
+    EffectKind(
         "flatness",
         where="a plane",
         words="the plate is bent, or hollow",

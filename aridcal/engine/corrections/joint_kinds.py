@@ -8,7 +8,15 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Declaration, Kind, ObservedRows, bumps, middle, slope, turns
+from aridcal.engine.corrections.effect_kind import (
+    Declaration,
+    EffectKind,
+    ObservedRows,
+    bumps,
+    rounded_mean,
+    slope,
+    turns,
+)
 from aridcal.engine.corrections.loads import bearing_components
 from aridcal.engine.levels import SLIGHT
 from aridcal.engine.robot.chain import Joint
@@ -41,7 +49,7 @@ ACROSS = ("r1", "r2", "t1", "t2")
 def _joint_gain(rows: ObservedRows) -> Iterator[Effect]:
     """Difference q - mean(q), about the joint's own axis."""
     for j in rows.moving():
-        gain = slope(j.name, "axis", j.name, middle(rows.table[j.name]))
+        gain = slope(j.name, "axis", j.name, rounded_mean(rows.table[j.name]))
         yield Effect("joint_gain", j.name, (gain,))
 
 
@@ -155,12 +163,12 @@ def _joint_coupling(rows: ObservedRows) -> Iterator[Effect]:
     for j in rows.robot.joints:
         for other in rows.moving():
             if other.name != j.name and rows.robot.on_one_limb(j.name, other.name):
-                led = slope(j.name, "axis", other.name, middle(rows.table[other.name]))
+                led = slope(j.name, "axis", other.name, rounded_mean(rows.table[other.name]))
                 yield Effect("joint_coupling", j.name, (led,), with_=other.name)
 
 
 JOINT_KINDS = (
-    Kind(
+    EffectKind(
         "joint_gain",
         where="a joint",
         words="the joint turns by more or less than it reads",
@@ -169,7 +177,7 @@ JOINT_KINDS = (
         doc="joint_gain",
         testable=_joint_gain,
     ),
-    Kind(
+    EffectKind(
         "joint_harmonic",
         where="a revolute joint",
         words="an error that comes round with each turn of a shaft or disk",
@@ -180,7 +188,7 @@ JOINT_KINDS = (
         of_order=_harmonic_of_order,
         exclusive=True,
     ),
-    Kind(
+    EffectKind(
         "joint_map",
         where="a joint",
         words="an error of the joint's own reading, as of an encoder or gear",
@@ -191,7 +199,7 @@ JOINT_KINDS = (
         curve=("axis",),
         holds=frozenset({"joint_gain", "joint_harmonic"}),
     ),
-    Kind(
+    EffectKind(
         "joint_backlash",
         where="a joint",
         words="play that is taken up on one side or the other",
@@ -204,7 +212,7 @@ JOINT_KINDS = (
         exclusive=True,
         columns=lambda d: (f"{d.where}_direction",) if d.by == "direction" else (),
     ),
-    Kind(
+    EffectKind(
         "joint_compliance",
         where="a joint",
         words="the joint yields under the weight beyond it",
@@ -213,7 +221,7 @@ JOINT_KINDS = (
         doc="joint_compliance",
         testable=_joint_compliance,
     ),
-    Kind(
+    EffectKind(
         "bearing_compliance",
         where="a joint",
         words="the bearing tilts under the weight beyond it",
@@ -222,7 +230,7 @@ JOINT_KINDS = (
         doc="bearing_compliance",
         testable=_bearing_compliance,
     ),
-    Kind(
+    EffectKind(
         "axis_wobble",
         where="a revolute joint",
         words="the axis itself wanders as the joint turns",
@@ -232,7 +240,7 @@ JOINT_KINDS = (
         testable=_axis_wobble,
         of_order=_wobble_of_order,
     ),
-    Kind(
+    EffectKind(
         "rail_straightness",
         where="a prismatic joint",
         words="the rail is bent",
@@ -242,7 +250,7 @@ JOINT_KINDS = (
         testable=_rail("rail_straightness", ("t1", "t2")),
         curve=("t1", "t2"),
     ),
-    Kind(
+    EffectKind(
         "rail_angular",
         where="a prismatic joint",
         words="the carriage tilts on its way along the rail",
@@ -252,7 +260,7 @@ JOINT_KINDS = (
         testable=_rail("rail_angular", ("roll", "pitch", "yaw")),
         curve=("roll", "pitch", "yaw"),
     ),
-    Kind(
+    EffectKind(
         "joint_coupling",
         where="a joint",
         words="the joint moves along when another one turns",

@@ -16,9 +16,9 @@ from aridcal.engine.robot.kinematics import (
     JointFrames,
     bears,
     borne_by,
-    carried,
+    chain_part,
     gravity_loads,
-    of_chain,
+    link_axes,
     tree_frames,
 )
 
@@ -141,9 +141,9 @@ def _pull(robot: Robot, walked: Sequence[JointFrames], payload: Payload, weight:
     On the way up it pushes the joint's parent link, so its child link the other way. Joints of other limbs do not bear it.
     """
     link = payload.on or robot.tip
-    R, origin = carried(robot, walked, link)
+    R, origin = link_axes(robot, walked, link)
     place, bearing = origin + R @ payload.lever, bears(robot, link)
-    chain = of_chain(robot, walked)
+    chain = chain_part(robot, walked)
     senses = [
         float(on_path) * (-1.0 if joint.climbs else 1.0) for on_path, joint in zip(bearing, robot.joints, strict=True)
     ]

@@ -14,7 +14,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, Kind, ObservedRows, bumps
+from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, EffectKind, ObservedRows, bumps
 from aridcal.engine.corrections.joint_kinds import RAIL_KNOTS
 from aridcal.engine.corrections.labels import STATION
 from aridcal.engine.corrections.sights import TARGET
@@ -201,7 +201,7 @@ def without_label(bases: Iterable[Basis], columns: Mapping[str, np.ndarray], cou
     return ~labelled if of_labels else labelled
 
 
-REGIONAL = Kind(
+REGIONAL = EffectKind(
     "regional",
     where="a joint, `world_base` or `tip_target`",
     words="a constant that is not the same all over the workspace",
@@ -216,7 +216,7 @@ REGIONAL = Kind(
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
 )
 
-RESIDUAL_FIELD = Kind(
+RESIDUAL_FIELD = EffectKind(
     "residual_field",
     where="`world_base` or `tip_target`",
     words="a shift of the target that depends on where it is, of no known cause",

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, Coefficient, Effect
-from aridcal.engine.corrections.effect_kind import Kind, ObservedRows, knots_over
+from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows, knots_over
 from aridcal.engine.robot.chain import Joint
 
 KNOTS = 9
@@ -57,7 +57,7 @@ def pair(rows: ObservedRows, where: str, component: str, of: tuple[str, str]) ->
     return Effect("unknown", where, coefficients, smooth=True, grid=(PAIR_KNOTS + 2,) * 2)
 
 
-UNKNOWN = Kind(
+UNKNOWN = EffectKind(
     "unknown",
     where="a joint or `tip_target`",
     words="something repeatable that no kind of effect explains",

@@ -232,7 +232,7 @@ def groups(measured: Observations) -> Groups | None:
     return Groups(row, role, thing, measured.roles, group, slot, unknown)
 
 
-def known(groups: Groups, instruments: Instruments, states: ThingStates) -> PriorRows:
+def prior_rows(groups: Groups, instruments: Instruments, states: ThingStates) -> PriorRows:
     """Ties and declared uncertainties of things as rows, linearised where the things are."""
     rows: list[tuple[int, np.ndarray, float]] = []
     width = groups.unknown.shape[1]
@@ -338,7 +338,9 @@ def reduced(
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ elimination.rank, 0.0))
 
 
-def moved(states: ThingStates, groups: Groups, instruments: Instruments, step: np.ndarray) -> dict[str, np.ndarray]:
+def states_after_step(
+    states: ThingStates, groups: Groups, instruments: Instruments, step: np.ndarray
+) -> dict[str, np.ndarray]:
     """Where the things are after a step of the groups' unknowns, shape (G, U)."""
     after = dict(states)
     for name, slot in groups.slot.items():

@@ -115,7 +115,7 @@ def limits(data: Dataset, exempt: np.ndarray | None = None) -> np.ndarray:
     return usual if exempt is None else np.where(exempt, np.inf, usual)
 
 
-def flagged(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
+def outlier_rows(r: np.ndarray, channels: Channels, limit: np.ndarray) -> np.ndarray:
     """Outliers: rows further off than the bulk of the rows can explain, shape (N,) bool.
 
     Args:

@@ -10,11 +10,11 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.elimination import Groups
-from aridcal.engine.fit.flags import coarsest, flagged, limits, robust_sigma
+from aridcal.engine.fit.flags import coarsest, limits, outlier_rows, robust_sigma
 from aridcal.engine.fit.identifiable import Subset, identifiable
 from aridcal.engine.fit.normal_equations import CombinedEquations, Prior, condition, inverse, solve
 from aridcal.engine.fit.problem import Problem
-from aridcal.engine.fit.residual import Linearisation, linearise, things_again, triangle
+from aridcal.engine.fit.residual import Linearisation, linearise, problem_with_things, triangle
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.numerics import FLOOR, RANK, RIDGE, ROUNDS, STEPS
@@ -280,15 +280,17 @@ def fit(
         some = _rows_for_rough_fit(problem)
         rough = minimise(problem.select(some), theta, None, prior)
         theta, steps = rough.theta, rough.steps
-        problem = things_again(problem.with_states(rough.question.states), theta)
-        weight = np.where(flagged(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
+        problem = problem_with_things(problem.with_states(rough.question.states), theta)
+        weight = np.where(outlier_rows(problem.scaled_residual(theta), problem.channels, limit), 0.0, 1.0)
     if _has_many(problem):
         some = thin(problem.rows, AHEAD)
         theta = minimise(problem.select(some), theta, weight[some], prior).theta
     for _ in range(ROUNDS):
         minimum = minimise(problem, theta, weight, prior)
         problem, theta, steps = minimum.question, minimum.theta, steps + minimum.steps
-        new_weight = np.where(flagged(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        new_weight = (
+            np.where(outlier_rows(minimum.at.residual, problem.channels, limit), 0.0, 1.0) if searching else weight
+        )
         if np.array_equal(new_weight, weight):
             break
         weight = new_weight

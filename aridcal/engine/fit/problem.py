@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.fit.elimination import Groups, PriorRows, groups, known, moved
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.elimination import Groups, PriorRows, groups, prior_rows, states_after_step
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.instruments.channels import Channels
 from aridcal.engine.instruments.setup import Instruments
 from aridcal.engine.model.local import LocalColumns
 from aridcal.engine.model.many_rows import BLOCK, blocks
 from aridcal.engine.model.model import Model, ModelRows
-from aridcal.engine.model.predictions import Observations, ThingStates, measured, rows_at
+from aridcal.engine.model.predictions import Observations, ThingStates, observations_of, rows_at
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
@@ -136,7 +136,7 @@ class Problem:
         """Covariance that the coefficients' covariance, (K, K), gives the predictions of a stretch of rows, scaled, (n, m, m)."""
         local = self.local
         if local is None:
-            return carried(self.pieces(theta, part).J, covariance)
+            return covariance_of_rows(self.pieces(theta, part).J, covariance)
         return local.carried(self.of_joints(theta, part)[1], self.rows.phi[part], covariance)
 
     @property
@@ -161,7 +161,7 @@ class Problem:
 
     def beforehand(self) -> PriorRows | None:
         """Prior knowledge of the groups, linearised where their things are; None without groups."""
-        return None if self.groups is None else known(self.groups, self.instruments, self.states)
+        return None if self.groups is None else prior_rows(self.groups, self.instruments, self.states)
 
     def settled(self, theta: np.ndarray) -> Problem:
         """The problem with things that the model does not know put where these rows alone have them."""
@@ -169,7 +169,9 @@ class Problem:
 
     def stepped(self, step: np.ndarray, agreed: np.ndarray | None = None) -> Problem:
         """The problem after a step of the groups' unknowns, (G, U); differentiated at joint positions (N, joints) if given."""
-        states = self.states if self.groups is None else moved(self.states, self.groups, self.instruments, step)
+        states = (
+            self.states if self.groups is None else states_after_step(self.states, self.groups, self.instruments, step)
+        )
         predictions = replace(self.measured, states=states)
         if agreed is not None:
             predictions = replace(
@@ -195,7 +197,7 @@ def problem(model: Model, data: Dataset, progress: Progress = SILENT) -> Problem
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: a row's station is none of those that the model knows.
     """
-    predictions = measured(model, data)
+    predictions = observations_of(model, data)
     return Problem(data, predictions, groups(predictions), progress)
 
 

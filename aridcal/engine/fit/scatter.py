@@ -2,7 +2,7 @@ r"""Residuals, the components of their scatter, and the restricted likelihood of
 
 Formulas and references: :mod:`aridcal.engine.fit.variance_components`, which maximises it. Most of the work is one product
 U'U of the whitened columns, and one triangular solve with as many numbers. With columns that are orthonormal somewhere near
-(:func:`conditioned`) both are well conditioned, and single precision, which is twice as fast, has digits enough.
+(:func:`scatter_near`) both are well conditioned, and single precision, which is twice as fast, has digits enough.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Scatter:
         things: Columns of the unknowns of the row's clump, shape (N, m, U), of full rank in the clump or 0; None where
             there are none.
         clump: Of each row, shape (N,), -1 for none.
-        near: The same residuals and columns combined and in single precision, for speed; see :func:`conditioned`.
+        near: The same residuals and columns combined and in single precision, for speed; see :func:`scatter_near`.
     """
 
     y: np.ndarray
@@ -108,7 +108,7 @@ def full_rank(scatter: Scatter) -> Scatter:
     return replace(scatter, things=B @ turned[scatter.clump])
 
 
-def told_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+def determined_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """Orthonormal combinations of modes of unit prior that the rows determine at all, shape (modes, combinations).
 
     Args:
@@ -158,7 +158,7 @@ class _White:
     logdet: float
 
 
-def conditioned(scatter: Scatter, variance: np.ndarray) -> Scatter:
+def scatter_near(scatter: Scatter, variance: np.ndarray) -> Scatter:
     """The scatter with ``near`` set: columns that are orthonormal at some variances, shape (C,), and residuals small there."""
     white, plain = _whiten(scatter, variance), scatter.columns
     if white is None:

@@ -16,7 +16,7 @@ from aridcal.engine.fit.least_squares import thin
 from aridcal.engine.fit.problem import Problem
 from aridcal.engine.fit.scatter import Scatter, full_rank
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.repeats import by_appearance, first_alike, seen_before
+from aridcal.engine.rows.repeats import by_appearance, earlier_occurrences, first_alike
 
 OF_ONE = 24
 """Work: Rows of one standstill that are asked about at the most: an error that is common to them shows in these, and a
@@ -41,7 +41,7 @@ def standstills(rows: Dataset) -> np.ndarray:
         return np.arange(len(rows))
     target = np.zeros(len(rows), dtype=str) if rows.labels.target is None else rows.labels.target
     same = first_alike([*rows.readings.T, rows.labels.block, target, *rows.labels.refers.T])
-    return by_appearance(first_alike([*rows.readings.T, seen_before(same)]))
+    return by_appearance(first_alike([*rows.readings.T, earlier_occurrences(same)]))
 
 
 def clumps(standstill: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -88,7 +88,7 @@ def _of_things(question: Problem, most: int) -> np.ndarray:
     if question.groups is not None:
         candidates = np.flatnonzero(_few_enough(clumps(number, group), group, question.groups.unknown.sum(axis=1)))
     mixed = np.random.RandomState(0).permutation(candidates)
-    candidates = np.sort(mixed[seen_before(number[mixed]) < OF_ONE])
+    candidates = np.sort(mixed[earlier_occurrences(number[mixed]) < OF_ONE])
     if len(candidates) <= most:
         return candidates
     stills = np.unique(number[candidates])

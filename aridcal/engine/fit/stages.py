@@ -16,11 +16,11 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable, minimis
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem, unscaled
 from aridcal.engine.fit.question import EndFrame, Question
-from aridcal.engine.fit.thing_starts import MOST_ROWS, NominalRows, beginning
+from aridcal.engine.fit.thing_starts import MOST_ROWS, NominalRows, start_values
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.instruments.setup import TIP
 from aridcal.engine.model.model import Model
-from aridcal.engine.model.predictions import measured, rows_of_data
+from aridcal.engine.model.predictions import observations_of, rows_of_data
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError, NotIdentifiable, NotOfThisRobot
@@ -112,7 +112,7 @@ def _start(
 ) -> Model:
     """The nominal robot with starts of its frames and of the things that its measurements refer to."""
     bare = Model(robot, (), instruments=train.instruments, routes=train.labels.routes)
-    predictions = measured(bare, train)
+    predictions = observations_of(bare, train)
     world, tip = question.world_base, question.tip_target
     names = frame_labels("tip_target", tip, labels, train)
     station, number = (_frame_of_each_row(frame, train, labels) for frame in (world, tip))
@@ -128,7 +128,7 @@ def _start(
         k: hint for k, hint in hints.items() if fixed or names[k] == TIP or not question.target(names[k]).unknown
     }
     known_world = None if world.unknown and has_world(train) else world.at
-    start = beginning(NominalRows(train, predictions, R, p, number, hints, known_targets, station, known_world))
+    start = start_values(NominalRows(train, predictions, R, p, number, hints, known_targets, station, known_world))
     return Model(
         robot,
         frames,
@@ -149,7 +149,7 @@ def nominal_sigma(question: Question, robot: Robot, rows: Dataset, labels: tuple
     """
     model = _start(question, robot, rows, labels, ())
     some = thin(rows_of_data(model, rows), MOST_ROWS)
-    return robust_sigma(measured(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
+    return robust_sigma(observations_of(model, rows.select(some)).residual(np.zeros(0)), rows.channels)
 
 
 def with_things_moved(geometric: Fit, final: Fit) -> Model | None:

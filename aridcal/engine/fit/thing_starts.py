@@ -88,7 +88,7 @@ class NominalRows:
         return candidates[0]
 
 
-def beginning(rows: NominalRows) -> StartValues:
+def start_values(rows: NominalRows) -> StartValues:
     """Find a start.
 
     Raises:

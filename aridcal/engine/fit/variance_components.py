@@ -133,7 +133,7 @@ def settled(scatter: Scatter, maximum: Components) -> Components:
     return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
 
 
-def one_more(
+def add_component(
     scatter: Scatter, maximum: Components, is_channel: np.ndarray, price: np.ndarray | float = 0.0
 ) -> tuple[int, Components] | None:
     """The component with the largest score, and the maximum with it; None if chance explains that score.
@@ -144,17 +144,17 @@ def one_more(
         is_channel: Which components are channels, shape (C,) bool: all others are candidates.
         price: Gain that pays for the numbers of a component that were fitted to the residuals, shape (C,), [nat].
     """
-    demand = asked_for(scatter, maximum, price)
+    demand = score_tests(scatter, maximum, price)
     if not demand.clear:
         maximum = settled(scatter, maximum)
-        demand = asked_for(scatter, maximum, price)
+        demand = score_tests(scatter, maximum, price)
     cost = np.broadcast_to(price, is_channel.shape)
     cheapest = int(np.argmax(np.where(cost > 0.0, 0.0, demand.normal)))
     # A component that has a price does not stand in the way of one that has none.
     for k in dict.fromkeys((demand.first, cheapest)):
         if demand.normal[k] > 0.0 and demand.plain[k] >= PLAINLY:
             more = with_one(scatter, maximum, k, float(demand.variance[k]))
-            if needed(more, maximum, float(cost[k]), is_channel):
+            if gain_is_real(more, maximum, float(cost[k]), is_channel):
                 return k, more
     return None
 
@@ -166,13 +166,13 @@ def with_one(scatter: Scatter, maximum: Components, k: int, variance: float) -> 
     return _with_others(scatter, maximum, start, free)
 
 
-def without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
+def drop_components(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
     """The maximum without some of its components, shape (C,) bool."""
     return _with_others(scatter, maximum, np.where(out, 0.0, maximum.variance), maximum.free & ~out)
 
 
 def roughly_without(scatter: Scatter, maximum: Components, out: np.ndarray) -> Components:
-    """A cheap :func:`without`, the columns' fit held: its likelihood is a bound from below."""
+    """A cheap :func:`drop_components`, the columns' fit held: its likelihood is a bound from below."""
     V, free = covariances(scatter, maximum.at), maximum.free & ~out
     bound = _bound(scatter, maximum.at, maximum)
     variances = bound.best(np.where(out, 0.0, maximum.variance), free, maximum.low)
@@ -199,7 +199,7 @@ def highest(other: Scatter, scatter: Scatter, maximum: Components, of: np.ndarra
     return bound.height(bound.best(maximum.variance[of], np.ones(len(of), dtype=bool), maximum.low[of]))
 
 
-def needed(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
+def gain_is_real(more: Components, fewer: Components, price: float, is_channel: np.ndarray) -> bool:
     """True if chance does not explain the gain of ``more`` components, whose shapes cost ``price`` [nat]."""
     gain = more.log_likelihood - fewer.log_likelihood - price
     return boundary_chance(2.0 * gain) * int((~is_channel).sum()) < RARE
@@ -219,7 +219,7 @@ def promised(scatter: Scatter, maximum: Components, of: Sequence[np.ndarray], st
     return np.array([bound.height(variances) for variances in optima]) - bound.height(maximum.at)
 
 
-def instead(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) -> Components | None:
+def replace_components(scatter: Scatter, maximum: Components, several: np.ndarray, k: int) -> Components | None:
     """The maximum with one component in place of several; None if it explains the residuals less well than these.
 
     Args:
@@ -354,7 +354,7 @@ class ScoreTests:
         return not CLEAR < self.plain[self.first] / PLAINLY < 1.0 / CLEAR
 
 
-def asked_for(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> ScoreTests:
+def score_tests(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> ScoreTests:
     """The score test: the derivative at zero, less what the components in the model take up, over its standard deviation.
 
     Args:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aridcal.engine.instruments.camera import INTRINSICS, Measures, carried, predict_pixels, predict_ranges
+from aridcal.engine.instruments.camera import INTRINSICS, Measures, predict_pixels, predict_ranges, square_motion
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
 from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States
 from aridcal.engine.instruments.pose import residuals, turned_back
@@ -236,7 +236,8 @@ class ShotPoses:
         position: Shape (n, 3), [m].
         covariance: Of position [m] and rotation vector [rad] in world axes, shape (n, 6, 6).
         sensitivity: Twist (linear, angular) of the camera in world axes per unit of each of the head's numbers, (n, 6, H).
-        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`beyond` says, so that sums over a row have no holes.
+        trace: z, shape (n, 9 + S); 0 beyond what a shot has, as :func:`missing_numbers` says, so that sums over a row have no
+            holes.
         slope: What a change of the head's numbers takes off it, shape (n, 9 + S, H).
         misfit: Chi-square of what a shot has beyond its pose, shape (n,).
         freedom: Its degrees of freedom, shape (n,).
@@ -262,11 +263,11 @@ def reduced(shots: Shots, head: Head) -> ShotPoses:
     twist_by_phi = -C @ (back @ D)
     trace = np.einsum("nij,ni->nj", shots.basis, y)
     freedom = shots.count - POSE
-    trace[beyond(freedom, trace.shape[1])] = 0.0
+    trace[missing_numbers(freedom, trace.shape[1])] = 0.0
     Rc = T[:, :, :3].transpose(0, 2, 1)
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
     world = shots.T_world_square
-    J = carried(world[:, :, :3], p)
+    J = square_motion(world[:, :, :3], p)
     return ShotPoses(
         rotation=world[:, :, :3] @ Rc,
         position=np.einsum("nij,nj->ni", world[:, :, :3], p) + world[:, :, 3],
@@ -298,7 +299,7 @@ def _at_best(shots: Shots, head: Head) -> tuple[np.ndarray, np.ndarray, np.ndarr
     return T, y, B, D
 
 
-def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
+def missing_numbers(freedom: np.ndarray, size: int) -> np.ndarray:
     """Which numbers of a trace shots do not have, shape (n, size), from their freedoms beyond their poses, shape (n,)."""
     return np.asarray(np.arange(size) >= freedom[:, None])
 
@@ -306,7 +307,7 @@ def beyond(freedom: np.ndarray, size: int) -> np.ndarray:
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
     missing = np.zeros((len(observed), m), dtype=bool)
-    missing[:, POSE:] = beyond(observed[:, COUNT] - POSE, m - POSE)
+    missing[:, POSE:] = missing_numbers(observed[:, COUNT] - POSE, m - POSE)
     return missing
 
 

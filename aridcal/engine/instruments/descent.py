@@ -96,7 +96,7 @@ class _Equations:
     h: np.ndarray
 
 
-def placed(view: StartView, target: np.ndarray, states: dict[str, np.ndarray]) -> DescentPoint:
+def descent_point(view: StartView, target: np.ndarray, states: dict[str, np.ndarray]) -> DescentPoint:
     """A place with its cost."""
     complete = view.complete(states)
     if not complete.any():
@@ -112,7 +112,7 @@ def descend(view: StartView, start: DescentPoint, steps: int) -> DescentPoint:
     if not complete.any() or not np.isfinite(start.cost):
         return start
     view = view if complete.all() else view.select(complete)
-    place, damping = placed(view, start.target, start.states), FIRST_DAMPING
+    place, damping = descent_point(view, start.target, start.states), FIRST_DAMPING
     equations = _equations(view, place)
     for _ in range(steps):
         trial = _step(view, place, equations, damping)
@@ -180,7 +180,7 @@ def _step(view: StartView, place: DescentPoint, e: _Equations, damping: float) -
         movable = np.isfinite(state).all(axis=1) & view.free[role.name].any(axis=1)
         states[role.name] = state.copy()
         states[role.name][movable] = role.moved(state[movable], change[movable])
-    return placed(view, target, states)
+    return descent_point(view, target, states)
 
 
 def _damped(matrices: np.ndarray, damping: float) -> np.ndarray:
@@ -199,7 +199,7 @@ def spread(count: int, most: int) -> np.ndarray:
     return np.sort(np.random.default_rng(0).permutation(count)[:most])
 
 
-def located(
+def thing_states(
     view: StartView, target: np.ndarray, states: dict[str, np.ndarray], labels: np.ndarray, beforehand: np.ndarray
 ) -> dict[str, np.ndarray]:
     """States in which their own rows have located some things of the last role; components that are not free stay."""

@@ -119,7 +119,7 @@ TRACKER = Role(
 """What measures positions from the world's origin: one for each block, named after it, without faults as far as is known."""
 
 
-def shown(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
+def tracker_positions(p: np.ndarray, tracker: np.ndarray) -> np.ndarray:
     """Positions that a tracker shows for places p: p (1 + s + k |p|), its scale off by s, its ranges by k |p|^2; (n, 3)."""
     away = np.linalg.norm(p, axis=1)
     return np.asarray(p * (1.0 + tracker[:, 0] + tracker[:, 1] * away)[:, None])
@@ -137,7 +137,7 @@ def _shown_derivatives(p: np.ndarray, tracker: np.ndarray) -> tuple[np.ndarray, 
 def _position(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position, [m]."""
     (tracker,) = states
-    return residuals(R, shown(p, tracker), observed, None)
+    return residuals(R, tracker_positions(p, tracker), observed, None)
 
 
 def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:
@@ -149,7 +149,7 @@ def _position_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, st
 def _pose(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> np.ndarray:
     """Measured minus predicted position [m] and rotation vector [rad]."""
     (tracker,) = states
-    return residuals(R, shown(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
+    return residuals(R, tracker_positions(p, tracker), observed[:, :3], observed[:, 3:].reshape(-1, 3, 3))
 
 
 def _pose_derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States) -> ResidualDerivatives:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, located, placed, spread
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point, spread, thing_states
 from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
 from aridcal.engine.instruments.pose import nearest_rotation
 
@@ -92,7 +92,7 @@ def sighted(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarra
     fixed_lenses.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
     states, settled = _beginning(fixed_lenses, beforehand)
     pairs = [(int(c), int(b)) for c, b in np.unique(view.refers[:, :2], axis=0)]
-    candidates = [placed(fixed_lenses, target, states)]
+    candidates = [descent_point(fixed_lenses, target, states)]
     rows = {pair: np.flatnonzero((view.refers[:, :2] == pair).all(axis=1)) for pair in pairs}
     while pairs:
         camera, board = pair = max(
@@ -102,7 +102,7 @@ def sighted(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarra
         candidates = _pair(fixed_lenses, candidates[0], settled, pair, rows[pair])
         settled["camera"].add(camera)
         settled["board"].add(board)
-    hint = placed(fixed_lenses, target, beforehand)
+    hint = descent_point(fixed_lenses, target, beforehand)
     starts = [hint, *candidates] if view.complete(beforehand).all() else candidates
     return [descend(fixed_lenses, place, steps) for place in starts]
 
@@ -140,7 +140,7 @@ def _pair(
             return [place]
         part = view.select(sight.rows)
         trials = [
-            placed(part, place.target, _with_solution(view, place.states, sight, pair, turn, x))
+            descent_point(part, place.target, _with_solution(view, place.states, sight, pair, turn, x))
             for turn, x in _compared(sight, _turns(place.states["camera"][camera], camera in settled["camera"]))
         ]
         limited = replace(part, free=_without_settled(part.free, pair, settled))
@@ -154,8 +154,8 @@ def _pair(
     located_places = []
     for trial in candidates:
         lacking = np.flatnonzero(~np.isfinite(trial.states["marker"]).all(axis=1))
-        states = located(part, trial.target, trial.states, lacking, place.states["marker"])
-        located_places.append(placed(view, trial.target, states))
+        states = thing_states(part, trial.target, trial.states, lacking, place.states["marker"])
+        located_places.append(descent_point(view, trial.target, states))
     return located_places
 
 

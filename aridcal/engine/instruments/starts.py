@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, located, placed, spread
+from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point, spread, thing_states
 from aridcal.engine.instruments.distance import LEAST_SINGULAR
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.kind import MeasurementKind, Role
@@ -116,7 +116,7 @@ def _filled(view: StartView, place: DescentPoint, beforehand: dict[str, np.ndarr
     lacking = ~np.isfinite(place.states[role.name]).all(axis=1)
     if not lacking[view.refers[:, -1]].any():
         return place.states
-    return located(view, place.target, place.states, np.flatnonzero(lacking), beforehand[role.name])
+    return thing_states(view, place.target, place.states, np.flatnonzero(lacking), beforehand[role.name])
 
 
 def _by_target(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarray]) -> list[DescentPoint]:
@@ -131,7 +131,7 @@ def _by_target(view: StartView, target: np.ndarray, beforehand: dict[str, np.nda
     few = _few(view)
     trials = [_from_lever(few, target, lever, beforehand) for lever in levers]
     if view.complete(beforehand).all():
-        trials.insert(0, placed(few, target, beforehand))
+        trials.insert(0, descent_point(few, target, beforehand))
     compared = _ranked([descend(few, place, COMPARISON_STEPS) for place in trials])
     places = []
     for place in compared:
@@ -164,7 +164,7 @@ def _from_lever(
     unknown = labels[~np.isfinite(beforehand[name][labels]).all(axis=1) | view.free[name][labels].any(axis=1)]
     new = target.copy()
     new[:3, 3] = lever
-    return placed(view, new, located(view, new, beforehand, unknown, beforehand[name]))
+    return descent_point(view, new, thing_states(view, new, beforehand, unknown, beforehand[name]))
 
 
 def _touched_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) -> list[np.ndarray]:

@@ -45,7 +45,7 @@ def limits_of(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     return np.where(np.isfinite(low), low, -math.pi), np.where(np.isfinite(high), high, math.pi)
 
 
-def off_the_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
+def inner_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest readings, each a share :data:`FREE_SHARE` of its range nearer to the middle; see :func:`limits_of`."""
     low, high = limits_of(robot)
     margin = FREE_SHARE * (high - low)
@@ -60,7 +60,7 @@ def draw_readings(
     return np.asarray(rng.uniform(low, high, (n, len(low))))
 
 
-def brought(
+def readings_for_poses(
     robot: Robot, pose: Pose, miss: Miss, n: int, rng: np.random.Generator, place: str, advice: str
 ) -> np.ndarray:
     """Readings with which every row's target is where it must be, each from a posture drawn at random, shape (n, columns).
@@ -79,7 +79,7 @@ def brought(
     Raises:
         CampaignError: some rows cannot be reached.
     """
-    low, high = off_the_limits(robot)
+    low, high = inner_limits(robot)
     arrived = np.empty((n, len(low)))
     rows = np.arange(n)
     for _ in range(MOST_ROUNDS):

@@ -22,7 +22,7 @@ import pinocchio as pin
 
 from aridcal.engine.corrections.effect import LINK_COMPONENTS, Coefficient
 from aridcal.engine.model.joint_motions import Motion, joint_model, motion, rank, transform
-from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walked
+from aridcal.engine.model.many_rows import LEAST_TOGETHER, JointArrays, MovingFrame, stepped, twists, walk_joints
 from aridcal.engine.robot.chain import FixedJoint, Joint, Robot
 from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
@@ -90,7 +90,7 @@ class ChainStep(NamedTuple):
     climbs: bool = False
 
 
-def own_slot(name: str) -> Slot:
+def robot_slot(name: str) -> Slot:
     """A joint of the robot itself."""
     return Slot(name, "own", "")
 
@@ -156,7 +156,7 @@ def chain_steps(robot: Robot, links: Sequence[Link], needed: Sequence[Slot]) -> 
     for joint, fixed in zip(robot.joints, robot.fixed, strict=False):
         constants = _sorted(groups.get((joint.name, "constant"), ()), joint)
         effects = _sorted(groups.get((joint.name, "effect"), ()), joint)
-        own_motion = [(own_slot(joint.name), motion("axis", joint))]
+        own_motion = [(robot_slot(joint.name), motion("axis", joint))]
         moves = own_motion + effects if joint.kind == "prismatic" else effects + own_motion
         if after is None:
             cross(fixed)
@@ -260,7 +260,7 @@ class ExtendedModel:
     @cached_property
     def own(self) -> list[int]:
         """Coordinate of each joint of the robot itself."""
-        return [self.index[own_slot(name)] for name in self.robot.names]
+        return [self.index[robot_slot(name)] for name in self.robot.names]
 
     @cached_property
     def segments(self) -> tuple[Segment, ...]:
@@ -391,7 +391,7 @@ class ExtendedModel:
         placements, end = self._ends(world, tip)
         for k, placement in placements.items():
             self._stepped.placement[k] = placement.homogeneous
-        return walked(self._stepped, q, end.homogeneous)
+        return walk_joints(self._stepped, q, end.homogeneous)
 
     def _ends(self, world: int, tip: int) -> tuple[dict[int, pin.SE3], pin.SE3]:
         """Placements that one pair of frames gives to joints, by their coordinates, and that of the target on the last one.

@@ -15,7 +15,7 @@ from aridcal.engine.corrections.labels import label_columns
 from aridcal.engine.corrections.loads import Surroundings, covariate_table, is_load, needs
 from aridcal.engine.corrections.sights import is_sight, sight_table, target_places
 from aridcal.engine.instruments.setup import Instruments
-from aridcal.engine.model.extended import ORDER, ExtendedModel, Slot, own_slot
+from aridcal.engine.model.extended import ORDER, ExtendedModel, Slot, robot_slot
 from aridcal.engine.model.joint_motions import motion, transform
 from aridcal.engine.model.local import LocalColumns, local
 from aridcal.engine.model.many_rows import blocks
@@ -397,7 +397,7 @@ class Model:
         at_base, at_tip = (None if label is None else np.array([label]) for label in (station, target or station))
         world, tip = (int(_frame_index(*end, 1)[0]) for end in ((self.world_base, at_base), (self.tip_target, at_tip)))
         slots = self._extended.slots
-        robot_slots = [own_slot(name) for name in self.robot.names]
+        robot_slots = [robot_slot(name) for name in self.robot.names]
         moving = {*robot_slots, *(slots[k] for k in self._varying)}
         model, target = self._extended.locked(self._constant_values(theta), moving, world, tip)
         index = {name: k for k, name in enumerate(list(model.names)[1:])}

@@ -210,7 +210,7 @@ class Observations:
         """
         if self.lost:
             R, p = self.model.poses(theta, self.rows)
-            states, stretch = located(self, R, p, theta)
+            states, stretch = solve_things(self, R, p, theta)
             return replace(self, states=states).left(R, p, theta) * stretch[:, None]
         r = np.empty((len(self), self.width))
         for part in blocks(len(self)):  # so that all rows' axes are never there at once
@@ -223,7 +223,7 @@ class Observations:
         if not self.lost:
             return self
         R, p = self.model.poses(theta, self.rows)
-        return replace(self, states=located(self, R, p, theta)[0])
+        return replace(self, states=solve_things(self, R, p, theta)[0])
 
     def of_joints(self, theta: np.ndarray, uneven: bool) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n, m) of rows that are :attr:`direct`, and what the joints of the model take off them, (n, m, joints).
@@ -244,12 +244,12 @@ class Observations:
         """Residuals and their derivatives by coefficients and things."""
         if self.conditions.any():
             R, p = self.model.poses(theta, self.rows)
-            here = replace(self, states=located(self, R, p, theta)[0])
+            here = replace(self, states=solve_things(self, R, p, theta)[0])
             r = here.left(R, p, theta)
             slopes, J, positions = here.where_they_agree(theta)
         else:
             R, p, J = _distinct_rows_once(lambda some: self.model.jacobian(theta, some), self.rows)
-            slopes = replace(self, states=located(self, R, p, theta)[0]).slopes(R, p, theta)
+            slopes = replace(self, states=solve_things(self, R, p, theta)[0]).slopes(R, p, theta)
             r, J, positions = slopes.residual, slopes.by_twist @ J, self.rows.positions
         for c, column in zip(self.moved, slopes.by_moved, strict=True):
             J[:, :, c.index] = column
@@ -417,14 +417,14 @@ def readings_at(observations: Observations, data: Dataset, positions: np.ndarray
     return np.asarray(data.readings + (positions - observations.rows.positions)[:, joints])
 
 
-def measured(model: Model, data: Dataset) -> Observations:
+def observations_of(model: Model, data: Dataset) -> Observations:
     """What the rows of a data set read, beside a model; things that the model does not know are added to its own.
 
     Raises:
         CovariateNotFound: an effect depends on a column that was not measured.
         MeasurementError: see :func:`rows_of_data`.
     """
-    instruments, number = joined(model.instruments, data.instruments)
+    instruments, number = merged_instruments(model.instruments, data.instruments)
     none = np.broadcast_to(-1, data.labels.refers.shape)  # of many rows of one tracker a number each would count
     refers = none.copy() if number else none
     for b, block in enumerate(data.blocks):
@@ -461,7 +461,7 @@ def _direct(model: Model, data: Dataset) -> bool:
     return alone and not any(things.free.any() for things in data.instruments.things.values())
 
 
-def joined(first: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
+def merged_instruments(first: Instruments, more: Instruments) -> tuple[Instruments, dict[str, dict[str, int]]]:
     """The things of both instruments, those of the first before the others, and the number of each by role and name."""
     things = dict(first.things)
     for role, new in more.things.items():
@@ -506,7 +506,7 @@ LOCATION_TOLERANCE = 1e-10
 """Change of a thing's components that ends its location: rounding."""
 
 
-def located(
+def solve_things(
     observations: Observations, R: np.ndarray, p: np.ndarray, theta: np.ndarray
 ) -> tuple[ThingStates, np.ndarray]:
     """Solve for the things whose place nobody knows, each from its own rows, while all else stays.

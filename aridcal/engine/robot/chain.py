@@ -317,7 +317,7 @@ def parse_robot(
     return replace(chain(read_tree(urdf, path, stated), tip, base), packages=packages or {}, stated=stated)
 
 
-def same_chain(robot: Robot, urdf: bytes) -> Robot:
+def chain_in_urdf(robot: Robot, urdf: bytes) -> Robot:
     """A robot's chain in another URDF of it, the one with corrected origins."""
     other = parse_robot(urdf, robot.tip, robot.base, robot.path, robot.packages, robot.stated)
     return with_limbs(other, [limb.tip for limb in robot.others]) if robot.others else other

@@ -43,7 +43,7 @@ class RobotDescription:
     cached: bool = False
 
 
-def described(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> RobotDescription:
+def robot_description(urdf: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> RobotDescription:
     """What a user named as the robot: a file, or a robot by its name; what the user says of either comes first.
 
     Raises:

@@ -15,7 +15,7 @@ import yaml
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.doty import align, doty_links, link_transform
-from aridcal.engine.robot.splice import rpy_near, without_rounding, written_origins
+from aridcal.engine.robot.splice import origin_texts, rpy_near, without_rounding
 
 # Axes nearer to parallel than this [rad] have a common normal that small errors move by metres.
 ILL_CONDITIONED_ANGLE = np.radians(1.0)
@@ -194,7 +194,7 @@ def kinematics_yaml(nominal: Robot, calibrated: Robot) -> str:
     short = {name: match.group() if (match := re.search(r"joint\d+$", name)) else name for name in origins}
     if len(set(short.values())) < len(short):
         short = {name: name for name in origins}
-    written = written_origins(nominal.urdf, origins)
+    written = origin_texts(nominal.urdf, origins)
     entries = {short[name]: {"kinematic": _by_component(np.concatenate(vectors))} for name, vectors in written.items()}
     return why + yaml.safe_dump(entries, sort_keys=False)
 

@@ -15,7 +15,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.meshes import MeshMissing, MeshPart, NotDrawable
 from aridcal.engine.robot.packages import HINT, find_package, package_folders
 from aridcal.system.errors import shortened
-from aridcal.system.reading.user_names import why
+from aridcal.system.reading.user_names import reason_of
 
 # Of what has no colour.
 GREY = (0.72, 0.74, 0.77)
@@ -167,7 +167,7 @@ def find_mesh(uri: str, robot: Robot) -> Path:
             if path.is_file():
                 return path
     except (OSError, ValueError) as error:  # a name that no file can have
-        raise NotDrawable(f"no mesh {shortened(uri)!r}: {why(error)}") from None
+        raise NotDrawable(f"no mesh {shortened(uri)!r}: {reason_of(error)}") from None
     lost = scheme == "package" and find_package(package, folder, robot.packages) is None
     raise MeshMissing(uri, package if lost else "")
 

@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.drive import Drive
 from aridcal.engine.robot.kinematics import rotations
 from aridcal.engine.robot.tree import UrdfTree, parse_xml, read_tree
@@ -82,7 +82,7 @@ def read_back(urdf: bytes, robot: Robot, origins: Mapping[str, pin.SE3], file: s
     tree = read_tree(robot.urdf, robot.path)
     positions = _positions(tree, np.random.default_rng(0))
     intended = link_places(tree, positions, origins)
-    fault = _fault(intended, lambda: _by_pinocchio(same_chain(robot, urdf).tree, positions, tree))
+    fault = _fault(intended, lambda: _by_pinocchio(chain_in_urdf(robot, urdf).tree, positions, tree))
     if fault is not None:
         raise ReadBackError(file, "Pinocchio", fault)
 

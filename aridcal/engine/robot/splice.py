@@ -56,7 +56,7 @@ def splice_origins(urdf: bytes, origins: Mapping[str, tuple[np.ndarray, np.ndarr
     return result
 
 
-def written_origins(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def origin_texts(urdf: bytes, placements: Mapping[str, pin.SE3]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Write placements as a URDF's author did: angles near those in the file, and nothing changed by rounding alone.
 
     Args:

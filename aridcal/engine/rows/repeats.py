@@ -194,7 +194,7 @@ def by_appearance(labels: np.ndarray) -> np.ndarray:
     return np.asarray(number[first[labels]])
 
 
-def seen_before(labels: np.ndarray) -> np.ndarray:
+def earlier_occurrences(labels: np.ndarray) -> np.ndarray:
     """How many rows before each have its label, shape (N,)."""
     order = np.argsort(labels, kind="stable")
     place = np.arange(len(order))

@@ -76,7 +76,7 @@ LOUDEST = 12
 """Work: Pairs that are tested: each has some fifty columns, and what explains less is seldom the cause."""
 
 
-def hinted(state: State, kinds: Collection[str]) -> list[Effect]:
+def hinted_candidates(state: State, kinds: Collection[str]) -> list[Effect]:
     """Candidates of some kinds that are tried only where the residual hints at them."""
     sources = {"joint_harmonic": harmonics, "joint_map": narrow_maps, "residual_field": dents}
     return [effect for kind, source in sources.items() if kind in kinds for effect in source(state)]

@@ -15,7 +15,7 @@ from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 
 
-def look(model: Model, rows: Dataset) -> tuple[ObservedRows, list[UntestableEffect]]:
+def covariates_and_exclusions(model: Model, rows: Dataset) -> tuple[ObservedRows, list[UntestableEffect]]:
     """Covariates of rows for candidate effects, and the effects that cannot be tested; the model knows its surroundings."""
     derived = {name: rows.covariates[name] for name in rows.origin.derived}
     usable, barred_columns = usable_columns({name: v for name, v in rows.covariates.items() if name not in derived})

@@ -11,12 +11,12 @@ from aridcal.engine.corrections.catalogue import KINDS, UntestableEffect
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_of_labels, widths
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.search.candidates import hinted
+from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.change_points import best_steps
 from aridcal.engine.search.curves import reshaped
 from aridcal.engine.search.evidence import DEPENDENT
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
-from aridcal.engine.search.scoring import held_back, held_out_whole, judge, score_of
+from aridcal.engine.search.scoring import held_back_errors, held_out_whole, judge, score_of
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, solve_state
@@ -32,7 +32,7 @@ MOST_DENTS = 6
 """Work: Places at which targets are off that are found one by one, as many as other effects without a name."""
 
 
-def with_declared(
+def add_declared_effects(
     linear: LinearModel, effects: Sequence[Effect], row_unknown: Sequence[bool], geometric: Fit
 ) -> tuple[State, list[UntestableEffect]]:
     """The model with the declared effects, which need no evidence, and those that are left out.
@@ -71,7 +71,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Un
     if not fields:
         return state, []
     for _ in range(MOST_DENTS):
-        loud = hinted(state, {fields[0].kind})
+        loud = hinted_candidates(state, {fields[0].kind})
         worthwhile = [
             _as_declared(state, e) for e in loud if not judge(state, e, score_of(state, e), Choices.of([e])).why
         ]
@@ -98,7 +98,7 @@ def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[
     return state, [_barred(e, CONFOUNDED if e in tied else NO_BETTER) for e in rest]
 
 
-def tied_to_frames(state: State, candidates: Sequence[Effect]) -> list[UntestableEffect]:
+def frame_imitations(state: State, candidates: Sequence[Effect]) -> list[UntestableEffect]:
     """Deviations of labels that imitate the model's own columns: mostly frames that each label has to itself."""
     tied = _confounded_labels(state, candidates)
     return [UntestableEffect(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
@@ -123,7 +123,7 @@ def _predicts_better(state: State, candidate: ActiveEffect) -> bool:
     """True if a candidate has evidence and predicts held-back rows better; constants by region in whole regions, too."""
     if candidate.score.gain <= 0.0 or candidate.score.freedom == 0:
         return False
-    without, with_it = held_back(state, candidate, state.fold).sum(axis=(1, 2))
+    without, with_it = held_back_errors(state, candidate, state.fold).sum(axis=(1, 2))
     return bool(with_it < without) and held_out_whole(state, candidate) > 0.0
 
 

@@ -14,7 +14,7 @@ from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter
 from aridcal.engine.corrections.smooth import Kernel
 from aridcal.engine.corrections.unknown_kind import pair
-from aridcal.engine.fit.flags import cluster, flagged, limits
+from aridcal.engine.fit.flags import cluster, limits, outlier_rows
 from aridcal.engine.fit.least_squares import Fit, thin
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
@@ -22,27 +22,27 @@ from aridcal.engine.levels import LENIENT
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.candidates import pairs
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.engine.search.curves import reshaped
-from aridcal.engine.search.declared_effects import tied_to_frames, with_declared, with_fields
+from aridcal.engine.search.declared_effects import add_declared_effects, frame_imitations, with_fields
 from aridcal.engine.search.exact import (
     FEWEST_PLACES,
     Start,
     few_places,
-    flagged_again,
     linear_model,
     refit,
     refit_constants,
+    reflag_rows,
     worth,
 )
-from aridcal.engine.search.held_back_trials import missed
+from aridcal.engine.search.held_back_trials import needed_effects
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.places import has_scatter, scatter_of, with_scatter, without_scatter
 from aridcal.engine.search.ranking import is_small, rank
-from aridcal.engine.search.rival_models import RivalModel, tied, twins
+from aridcal.engine.search.rival_models import RivalModel, rivals_of_effects, twins
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, activate, solve_state
-from aridcal.engine.search.stepwise import StepwiseResult, confirmed, exchanged, search
+from aridcal.engine.search.stepwise import StepwiseResult, confirm, exchange_sets, search
 from aridcal.system.progress import SILENT, Progress
 
 SEARCHES = 6
@@ -99,7 +99,8 @@ class SearchResult:
         named: The candidates whose kind names a cause.
         barred: Candidates that could not be tested, and why.
         scattered: True if rows of one place err alike, and the effects were searched beside that scatter.
-        confounded: For each active effect, the candidates that are confounded with it in these data; see :func:`told_apart`.
+        confounded: For each active effect, the candidates that are confounded with it in these data; see
+            :func:`model_with_rivals`.
         tied: Weights of these candidates, and the model with each.
     """
 
@@ -215,7 +216,7 @@ def _search_once(
     start, progress = _fewer_rows(every), every.progress
     geometric = start.geometric
     progress("listing the effects that these rows can show")
-    observed, barred_effects = look(geometric.model, start.train)
+    observed, barred_effects = covariates_and_exclusions(geometric.model, start.train)
     declared_effects = [declared(observed, d, str(question.source)) for d in question.effects]
     identities = {e.identity for e in declared_effects}
     named = [
@@ -230,13 +231,13 @@ def _search_once(
         named, unnamed = [e for e in named if not e.smooth], []
     setting = Setting(start, observed, (*named, *unnamed, *declared_effects, *scatter_of(start.train)), scatter)
     progress("linearising the model")
-    state, lost_effects = with_declared(
+    state, lost_effects = add_declared_effects(
         setting.linear(geometric), declared_effects, [d.at is None for d in question.effects], geometric
     )
     named = [e for e in named if state.model.moves(e)]
     if named:
         progress(f"testing {len(named)} known effects")
-    barred_effects += lost_effects + tied_to_frames(state, named)
+    barred_effects += lost_effects + frame_imitations(state, named)
     state = with_scatter(state, scatter)
     if has_scatter(state):
         progress("rows of one place err alike: testing beside that")
@@ -249,7 +250,7 @@ def _search_once(
     if before is not None and not fresh:
         state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.declared)))
         if not settled:
-            state = confirmed(state, len(named) + len(unnamed), progress)
+            state = confirm(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
         step = SearchStep(at, replace(before.found, state=state))
     else:
@@ -273,14 +274,14 @@ def _search_once(
     linearised_at = final
     if state.active:
         state = setting.about(final, state, final.sigma)
-        reduced = state if scattered or settled else missed(state.model, state)
+        reduced = state if scattered or settled else needed_effects(state.model, state)
         if bent and not (scattered or settled):
-            reduced = confirmed(reduced, result.tested, progress)
+            reduced = confirm(reduced, result.tested, progress)
         if len(reduced.active) < len(state.active):
             progress(_words_of_refit(reduced))
             final = refit(start, reduced, final)
         state = reduced
-    final = flagged_again(replace(start, limit=limits(start.train)), state, final)
+    final = reflag_rows(replace(start, limit=limits(start.train)), state, final)
     if len(every.train) > len(start.train):
         progress(f"fitting all {len(every.train)} rows")
         final = _fit_all_rows(replace(every, limit=limits(every.train)), state, final)
@@ -295,12 +296,12 @@ def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: Search
     return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
-def told_apart(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
+def model_with_rivals(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
     """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
     state = diagnosed.found.state
     rivals = twins(state, diagnosed.named, progress)
     constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
-    weighed = tied(state, constants, rivals)
+    weighed = rivals_of_effects(state, constants, rivals)
     state.model.products.forget()
     return replace(diagnosed, confounded=tuple(tuple(e for e, _ in effects[1:]) for effects in rivals), tied=weighed)
 
@@ -322,7 +323,7 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, f
             result = search(before, named, exchange=fresh, progress=progress)
         whole = fresh and small and set(result.state.effects) == set(before.effects)
         if whole:
-            result = exchanged(result, named, progress)
+            result = exchange_sets(result, named, progress)
         state = with_scatter(result.state, setting.scatter) if has_scatter(result.state) else result.state
         result = replace(result, state=state)
         settled = set(state.effects) == set(before.effects) and step.at is not setting.start.geometric
@@ -357,7 +358,7 @@ def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
     if not state.active:
         return every.geometric
     question = problem(current.model, every.train, every.progress)
-    in_use = ~flagged(question.scaled_residual(current.theta), every.train.channels, every.limit)
+    in_use = ~outlier_rows(question.scaled_residual(current.theta), every.train.channels, every.limit)
     return refit_constants(every, replace(state, used=in_use), current)
 
 

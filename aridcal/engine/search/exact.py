@@ -9,22 +9,22 @@ from types import MappingProxyType
 import numpy as np
 from scipy.linalg import block_diag
 
-from aridcal.engine.corrections.basis import evaluated
+from aridcal.engine.corrections.basis import values_of_bases
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter, place_columns
-from aridcal.engine.fit.flags import flagged
+from aridcal.engine.fit.flags import outlier_rows
 from aridcal.engine.fit.identifiable import apart, identifiable
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.residual import taking_off, triangle
+from aridcal.engine.fit.residual import thing_projector, triangle
 from aridcal.engine.levels import FOLDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import readings_at
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together, repeated
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.rows.split import held_back_groups, repeated
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.engine.search.evidence import charge
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.state import State
@@ -112,9 +112,9 @@ def refit_constants(
     return replace(refitted, candidates=geometric.candidates, redundant=redundant)
 
 
-def flagged_again(start: Start, state: State, current: Fit) -> Fit:
+def reflag_rows(start: Start, state: State, current: Fit) -> Fit:
     """The fit with rows flagged by its own residuals; the same fit if it was made with these flags."""
-    in_use = ~flagged(current.residual, start.train.channels, start.limit)
+    in_use = ~outlier_rows(current.residual, start.train.channels, start.limit)
     if np.array_equal(in_use, ~current.outliers) or not state.active:
         return current
     return refit_constants(start, replace(state, used=in_use), current)
@@ -203,7 +203,7 @@ def linear_model(
     theta = np.concatenate([current.theta, np.zeros(len(slots))])
     question = problem(model, start.train).agreeing(theta)
     r, J = question.linearised(theta)
-    off = taking_off(question, theta, current.weight, current.sigma)
+    off = thing_projector(question, theta, current.weight, current.sigma)
     constant = np.flatnonzero([c.basis.constant for c in coefficients])
     A = J[:, :, : len(coefficients)]
     if off is not None:
@@ -215,16 +215,16 @@ def linear_model(
     if start.train.repeats.share != 1.0:
         r, A, J = (np.sqrt(start.train.repeats.share) * values for values in (r, A, J))
     table = _table(start, question, observed)
-    together = (held_together if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
+    together = (held_back_groups if any(is_scatter(a.effect) for a in active) else repeated)(start.train)
     run, fold = _folds(start.train, together)
-    of_places = place_columns(held_together(start.train)) if any(is_scatter(e) for e in effects) else {}
+    of_places = place_columns(held_back_groups(start.train)) if any(is_scatter(e) for e in effects) else {}
     return LinearModel(
         channels=start.train.channels,
         A=np.ascontiguousarray(A[:, :, constant]),
         gauge=_gauge(start.geometric, tuple(coefficients[k] for k in constant)),
         G=np.ascontiguousarray(J[:, :, len(coefficients) :]),
         slots=slots,
-        phi=np.asfortranarray(evaluated(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
+        phi=np.asfortranarray(values_of_bases(bases, {**table, **of_places}) if bases else np.zeros((len(r), 0))),
         bases=bases,
         r=r,
         limit=start.limit,
@@ -265,7 +265,7 @@ def _table(start: Start, question: Problem, observed: ObservedRows) -> Mapping[s
     if predictions.wide is None or predictions.agreed is None:
         return observed.table
     rows_agreeing = replace(start.train, readings=readings_at(predictions, start.train, predictions.agreed.positions))
-    return look(start.geometric.model, rows_agreeing)[0].table
+    return covariates_and_exclusions(start.geometric.model, rows_agreeing)[0].table
 
 
 def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

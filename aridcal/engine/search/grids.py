@@ -157,14 +157,14 @@ def moved_rows(slots: tuple[np.ndarray, ...]) -> np.ndarray | None:
     return None if np.mean(moved) > FULL else np.flatnonzero(moved)
 
 
-def moving(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
+def moving_slots(slots: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], np.ndarray | None]:
     """Slots cut to the rows that they move, and the numbers of these rows: on other paths their columns are zero."""
     rows = moved_rows(slots)
     return (slots if rows is None else tuple(g[rows] for g in slots)), rows
 
 
 def grid_of(slots: tuple[np.ndarray, ...], rows: np.ndarray | None, functions: LocalValues) -> Grid:
-    """The grid of slots cut by :func:`moving` and of functions in all N rows."""
+    """The grid of slots cut by :func:`moving_slots` and of functions in all N rows."""
     return Grid(slots, functions if rows is None else functions.at(rows), rows)
 
 

@@ -15,7 +15,7 @@ from aridcal.engine.search.scoring import held_back_squares
 from aridcal.engine.search.state import State, solve_state
 
 
-def missed(model: LinearModel, state: State) -> State:
+def needed_effects(model: LinearModel, state: State) -> State:
     """The model without effects that do not improve held-back rows; declared effects stay.
 
     Effects are taken out one at a time, that of the least gain first, and all others are solved anew. The model is linear

@@ -12,7 +12,7 @@ from aridcal.engine.fit.noise import independent_share
 from aridcal.engine.fit.normal_equations import accumulate, solve
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.question import Question
-from aridcal.engine.fit.residual import eliminated
+from aridcal.engine.fit.residual import reduced_stretches
 from aridcal.engine.fit.stages import Geometry, fit_geometry, recentred, with_things_moved
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import KINDS
@@ -25,8 +25,8 @@ from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
-from aridcal.engine.search.diagnose import SearchResult, diagnose, told_apart
+from aridcal.engine.rows.split import held_back_groups
+from aridcal.engine.search.diagnose import SearchResult, diagnose, model_with_rivals
 from aridcal.engine.search.noise_causes import NoiseCauses, noise_causes
 from aridcal.engine.search.noise_tests import rms_of_channels
 from aridcal.system.progress import SILENT, Progress
@@ -129,7 +129,7 @@ def calibrated_arm(
         arm = replace(arm, causes=_causes(arm, rows, progress))
     if is_better(arm.diagnosed.fit, arm.geometry.nominal, arm.rows.fitted):
         return replace(
-            arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
+            arm, diagnosed=model_with_rivals(arm.diagnosed, progress), causes=_causes_with_names(arm, rows, progress)
         )
     return _keep_nominal(question, arm, progress)
 
@@ -184,7 +184,7 @@ def _keep_nominal(question: Question, arm: CalibratedArm, progress: Progress) ->
     reason = KEPT_NOMINAL.format(len(np.unique(rows.repeats.configuration[rows.train])))
     free = 1.0 - fit.spent / fit.numbers
     arm = fit_arm(question.without_search(), Geometry(geometry.nominal, frames, reason, free), rows, progress)
-    return replace(arm, diagnosed=told_apart(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
+    return replace(arm, diagnosed=model_with_rivals(arm.diagnosed, progress), causes=_causes(arm, rows, progress))
 
 
 def fit_constants(
@@ -268,9 +268,9 @@ def _held_back_squares(fit: Fit, data: Dataset) -> np.ndarray:
     solution without it differs by :math:`-(\Lambda - H_b)^{-1} g_b`: at the optimum all pulls together are zero.
     """
     question = problem(fit.model, data)
-    pieces = [(r, J) for _, r, J in eliminated(question, fit.theta, np.ones(len(data)), fit.sigma)]
+    pieces = [(r, J) for _, r, J in reduced_stretches(question, fit.theta, np.ones(len(data)), fit.sigma)]
     r, J = (np.concatenate(stacked) for stacked in zip(*pieces, strict=True))
-    together = held_together(data)
+    together = held_back_groups(data)
     number = np.random.default_rng(2).permutation(int(together.max()) + 1)
     block = number[together] % BLOCKS
     parts, K = columns(data.channels), J.shape[2]

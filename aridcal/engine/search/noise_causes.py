@@ -18,22 +18,22 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.scatter import Scatter, conditioned, covariances, told_modes
+from aridcal.engine.fit.scatter import Scatter, covariances, determined_modes, scatter_near
 from aridcal.engine.fit.shared_readings import Stack, representative, stack, standstills, with_things
 from aridcal.engine.fit.variance_components import (
     Components,
-    asked_for,
+    add_component,
+    drop_components,
     estimate,
+    gain_is_real,
     highest,
-    instead,
-    needed,
-    one_more,
     promised,
+    replace_components,
     roughly_without,
+    score_tests,
     settled,
     std_of_sigma,
     with_one,
-    without,
 )
 from aridcal.engine.instruments.channels import Channel, columns, spread
 from aridcal.engine.levels import FEWEST_ROWS, STRONG, SURELY
@@ -42,7 +42,14 @@ from aridcal.engine.rows.dataset import Dataset, factors
 from aridcal.engine.search.diagnose import SEARCHED
 from aridcal.engine.search.exact import GAUGE
 from aridcal.engine.search.linear_model import ActiveEffect
-from aridcal.engine.search.noise_hypotheses import HypothesisKind, NoiseHypothesis, possible, shaped, stretched, there
+from aridcal.engine.search.noise_hypotheses import (
+    HypothesisKind,
+    NoiseHypothesis,
+    measured_mask,
+    possible,
+    shaped,
+    stretched,
+)
 from aridcal.engine.search.noise_shapes import SHAPES, NoiseShape, TargetPoses, aimed, nearby, shapes_of
 from aridcal.engine.search.noise_tests import neighbours
 from aridcal.system.progress import SILENT, Progress
@@ -339,10 +346,10 @@ def _inquiry(part: Problem, fit: Fit, active: Sequence[ActiveEffect], shapes: bo
             NoiseHypothesis(shape.kind, channel.name, shape.unit, nothing, shape)
             for shape in shapes_of(targets, channel)
         ]
-    still = stack(standstills(part.data), there(part.data))
+    still = stack(standstills(part.data), measured_mask(part.data))
     start = np.zeros(len(causes))
     start[: len(part.channels)] = np.maximum(fit.estimated, FLOOR) ** 2
-    scatter = conditioned(_scatter(part, fit, active, causes, still), start)
+    scatter = scatter_near(_scatter(part, fit, active, causes, still), start)
     first = np.unique(still.number, return_index=True)[1]
     near = neighbours(part.data)
     orders = {False: near, True: near if len(first) == len(part.data) else neighbours(part.data.select(first))}
@@ -358,14 +365,14 @@ def _add_causes(
     while True:
         # A cause that would only explain another's misfit is not for any price.
         price = np.where(inquiry.second(maximum), np.inf, inquiry.price)
-        more = one_more(inquiry.scatter, maximum, is_channel, price)
+        more = add_component(inquiry.scatter, maximum, is_channel, price)
         if more is None:
             return inquiry, maximum, structured
         k, maximum = more
         progress.part(int(maximum.free.sum()), len(is_channel), "causes")
         if (maximum.free & single).sum() > 1 and (alike & ~maximum.free).any():
             # One variance in place of several, if it explains as much.
-            fewer = instead(inquiry.scatter, maximum, single, int(np.argmax(alike)))
+            fewer = replace_components(inquiry.scatter, maximum, single, int(np.argmax(alike)))
             k, maximum = (k, maximum) if fewer is None else (int(np.argmax(alike)), fewer)
         inquiry, maximum = inquiry.refined(maximum, k)
         # An error that repeats stays in the model, so that no other cause has to explain it, but it is no noise.
@@ -394,8 +401,8 @@ def _try_rivals(
         cost = float(price[members].sum())
         without_set = roughly_without(scatter, maximum, members)
         if maximum.log_likelihood - without_set.log_likelihood - cost < WEAK:
-            without_set = without(scatter, maximum, members)
-            if not needed(maximum, without_set, cost, is_channel):
+            without_set = drop_components(scatter, maximum, members)
+            if not gain_is_real(maximum, without_set, cost, is_channel):
                 return inquiry, without_set, None
         worth = maximum.log_likelihood - cost
         inquiry_without = inquiry.aimed(without_set)
@@ -420,7 +427,7 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
 
     Shapes of the inquiry are fitted at the maximum without the set; ``worth`` is the log-likelihood with it, less its price.
     """
-    demand = asked_for(inquiry.scatter, base)
+    demand = score_tests(inquiry.scatter, base)
     least = max(worth - base.log_likelihood - LOOSE, 0.0)
     enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR * demand.normal.max(), 0.0))
     most = [int(k) for k in np.argsort(-demand.normal) if enough[k]][:CHALLENGERS]
@@ -451,7 +458,7 @@ def _scatter(
         # A prior pulls the modes towards zero.
         y = y + (column @ np.linalg.lstsq(a.modes, fit.theta[numbers], rcond=None)[0]).reshape(n, m)
         if a.effect.smooth:
-            modes = told_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
+            modes = determined_modes(column.reshape(n, m, -1), spread(fit.sigma, part.channels))
             if modes.shape[1] < len(modes):
                 A[:, filled : filled + modes.shape[1]] = column @ modes
                 precision_of_modes = modes.T @ precision_of_modes @ modes
@@ -534,7 +541,7 @@ def _weights(
     causes += [shaped(cause.shape, targets) for cause in inquiry.causes if cause.shape is not None]
     V = np.sum([variance[k] * p.blocks for k, p in enumerate(causes) if noise[k]], axis=0)
     sigma = np.sqrt(variance[inquiry.is_channel])
-    measured, diagonal = there(rows), np.diagonal(V, axis1=1, axis2=2)
+    measured, diagonal = measured_mask(rows), np.diagonal(V, axis1=1, axis2=2)
     of_channels = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
     if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < MATTERS:
         return None

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from aridcal.engine.fit.problem import Problem, problem, scaled
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.fit.shared_readings import Stack
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel, columns
 from aridcal.engine.instruments.setup import Block
@@ -73,7 +73,7 @@ class NoiseHypothesis:
         return np.asarray(root @ root.transpose(0, 2, 1))
 
 
-def there(rows: Dataset) -> np.ndarray:
+def measured_mask(rows: Dataset) -> np.ndarray:
     """Which numbers each row measures, shape (N, m) bool."""
     return np.repeat(rows.measures, [channel.size for channel in rows.channels], axis=1)
 
@@ -83,8 +83,8 @@ def possible(question: Problem, theta: np.ndarray) -> tuple[list[NoiseHypothesis
     rows, model = question.data, question.model
     at = np.concatenate([theta, np.zeros(len(model.own_motions))])
     more = problem(model.with_motions(model.own_motions), rows).settled(at)
-    J = moved_by(more, at, len(model.own_motions))
-    units = there(rows)[:, :, None] * np.eye(J.shape[1])
+    J = scaled_columns(more, at, len(model.own_motions))
+    units = measured_mask(rows)[:, :, None] * np.eye(J.shape[1])
     parts = list(zip(rows.channels, columns(rows.channels), strict=True))
     causes = [NoiseHypothesis("channel", channel.name, channel.unit, units[:, :, part]) for channel, part in parts]
     moved = J @ model.robot.factors

@@ -18,7 +18,7 @@ from aridcal.engine.corrections.condition_kinds import SIDE
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.instruments.channels import columns, spread
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.levels import FEWEST_TOGETHER
@@ -203,7 +203,7 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
         parts = columns(rows.channels)
         turned = np.concatenate([np.einsum("nji,nj->ni", R, residual[:, part]) for part in parts], axis=1)
         views.append(ResidualView("in the target's axes", turned / scale))
-    J = moved_by(question, theta, len(robot.joints)) / scale[:, None]
+    J = scaled_columns(question, theta, len(robot.joints)) / scale[:, None]
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
@@ -265,7 +265,7 @@ def _correlation(
     """Correlation of pairs of rows, first and second of each, shape (pairs,), against its distribution over all orders."""
     white, starts = _side_by_side(views)
     sums = np.add.reduceat(np.einsum("nm,nm->m", white[first], white[second]), starts)
-    mean, deviation = np.array([by_chance(view.white, first, second) for view in views]).T
+    mean, deviation = np.array([chance_moments(view.white, first, second) for view in views]).T
     z = (sums - mean) / np.maximum(deviation, TINY)
     best = int(np.argmax(z))
     p_value = min(1.0, len(views) * float(ndtr(-z[best])))
@@ -273,7 +273,7 @@ def _correlation(
     return Clue(question, f"{what} {views[best].words}", float(np.clip(share, 0.0, 1.0)), p_value)
 
 
-def by_chance(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
+def chance_moments(x: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[float, float]:
     r"""Mean and standard deviation of the sum of products of pairs of rows, over all orders of the rows.
 
     With W symmetric, half the number of times that rows i and j are a pair, :math:`G = x x^T`, :math:`n_{(k)}` the product of k

@@ -8,7 +8,7 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.labels import MOST_LABELS
 from aridcal.engine.corrections.place_scatter import is_scatter, place_scatter
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 
@@ -23,7 +23,7 @@ def scatter_of(train: Dataset) -> tuple[Effect, ...]:
     """Effects by which rows of one place may err alike; none where rows do not lie in places, or refer to things."""
     if not train.direct:
         return ()
-    place = held_together(train)
+    place = held_back_groups(train)
     count = int(place.max(initial=-1)) + 1
     if count > MOST_LABELS or len(train) < ROWS_A_PLACE * count:
         return ()

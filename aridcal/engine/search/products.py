@@ -23,7 +23,7 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.search.grids import Grid, LocalValues, grid_of, local, moved_rows, moving
+from aridcal.engine.search.grids import Grid, LocalValues, grid_of, local, moved_rows, moving_slots
 
 CHUNK = 128
 """Work: Columns that are multiplied at once: their Gram matrix stays in the cache."""
@@ -292,7 +292,7 @@ class Products:
             if self._room(chunk.gram.size):
                 room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
                 stored = chunk if room else replace(chunk, columns=None)
-                for effect, part in placed(chunk.effects):
+                for effect, part in column_places(chunk.effects):
                     self._place[effect] = stored, part
             yield chunk
 
@@ -305,7 +305,7 @@ class Products:
     def _slots(self, slots: tuple[int, ...]) -> tuple[Flat, np.ndarray | None]:
         """Columns of some slots in the rows that they move, (n, size, slots) for each channel, and those rows; they are kept."""
         if slots not in self._moving:
-            self._moving[slots] = moving(self._source.slots(slots))
+            self._moving[slots] = moving_slots(self._source.slots(slots))
         return self._moving[slots]
 
     def _grids(
@@ -447,7 +447,7 @@ def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
     return list(pairwise(ends))
 
 
-def placed(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
+def column_places(effects: Sequence[Effect]) -> list[tuple[Effect, slice]]:
     """Effects with the places of their columns, side by side."""
     ends = np.cumsum([0, *(len(e.coefficients) for e in effects)]).tolist()
     return [(e, slice(low, high)) for e, low, high in zip(effects, ends[:-1], ends[1:], strict=True)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.engine.corrections.catalogue import KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.search.candidates import hinted
+from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.change_points import best_steps
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.linear_model import LinearModel
@@ -65,7 +65,7 @@ def rank(
     library = [*(e for e in library if e.at is None), *best_steps(state.model, state, jumps), *also]
     active = set(state.effects)
     covered = {(kind, e.where) for e in active if not e.hinted for kind in KINDS[e.kind].holds}
-    every = dict.fromkeys([*library, *hinted(state, hints)])
+    every = dict.fromkeys([*library, *hinted_candidates(state, hints)])
     free = [e for e in every if e not in active and not _is_covered(e, covered)]
     rough = dict(scores or {})
     new = [e for e in free if e not in rough]
@@ -84,7 +84,7 @@ def _is_covered(effect: Effect, covered: set[tuple[str, str]]) -> bool:
     return (effect.kind, effect.where) in covered and max(effect.order, default=0.0) < MAPPED
 
 
-def in_place_of(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
+def substitutes(state: State, library: Sequence[Effect], effect: Effect) -> list[Effect]:
     """Candidates for the place of an effect: steps are none of them for one of joints alone, where their scan takes long."""
     timed = effect.at is not None or not set(sources(effect)) <= set(state.model.joints)
     return [e for e in library if e.at is None or timed or is_small(state.model, library)]

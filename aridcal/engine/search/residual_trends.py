@@ -11,7 +11,7 @@ from scipy.special import chdtrc, ndtr
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem, scaled
-from aridcal.engine.fit.residual import moved_by
+from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import FAINT, SLIGHT
 from aridcal.engine.numerics import FLOOR, TINY
@@ -184,7 +184,7 @@ def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tu
     before_scaled, after_scaled = (np.nan_to_num(scaled(r, rows.relative)) for r in (before, after))
     # The noise that the residual shows, not the declared one: a pattern is sought, whatever the size.
     sigma = spread(np.maximum(rms_of_channels(after_scaled, rows), FLOOR), rows.channels)
-    J = moved_by(question, theta, len(robot.joints)) / sigma[:, None]
+    J = scaled_columns(question, theta, len(robot.joints)) / sigma[:, None]
     pulls = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)

@@ -16,7 +16,7 @@ from aridcal.engine.corrections.sights import is_sight
 from aridcal.engine.levels import STRONG
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.linear_model import ActiveEffect
-from aridcal.engine.search.ranking import in_place_of, is_small, rank
+from aridcal.engine.search.ranking import is_small, rank, substitutes
 from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 from aridcal.system.progress import SILENT, Progress
@@ -76,7 +76,7 @@ def _twins(
         progress: Called with the number of candidates scored.
     """
     without = without_effect(state, named.effect)
-    rivals = in_place_of(state, library, named.effect)
+    rivals = substitutes(state, library, named.effect)
     also = [named.effect, *mirrored(state.model.table, named.effect)]
     ranked = rank(without, rivals, also=also, progress=progress, scores=rough)
     score = next((s for e, s in ranked if e == named.effect), None)
@@ -135,7 +135,7 @@ def _kind_over(effect: Effect, name: str, form: str) -> str:
     return "unknown"
 
 
-def tied(
+def rivals_of_effects(
     state: State, constants: Sequence[Coefficient], twins: Sequence[Sequence[tuple[Effect, Score]]]
 ) -> tuple[RivalModel, ...]:
     r"""Weights of the rivals of each effect, and the model with each of them.
@@ -174,7 +174,7 @@ def _rivals(
 
 
 def weights(twins: Sequence[tuple[Effect, Score]]) -> list[float]:
-    """Probabilities of an effect and its rivals, which sum to 1; see :func:`tied`."""
+    """Probabilities of an effect and its rivals, which sum to 1; see :func:`rivals_of_effects`."""
     gains = np.array([score.gain for _, score in twins])
     causes = [frozenset(effect.covariates) for effect, _ in twins]
     each = np.exp(gains - gains.max())

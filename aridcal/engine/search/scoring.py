@@ -154,7 +154,7 @@ def judge(state: State, effect: Effect, score: Score, choices: Choices) -> Judge
         percent = 100 * max(share, 0.0)
         return judgement(share, f"reduces the cross-validated squared error by only {percent:.2g} %")
     if model.thing is not None and _is_at_several_things(model, effect):
-        whole = held_back(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
+        whole = held_back_errors(state, candidate, model.thing[state.used]).sum(axis=(1, 2))
         if whole[1] > whole[0]:
             return judgement(share, "does not hold at places that were held back whole")
     if held_out_whole(state, candidate) <= 0.0:
@@ -193,7 +193,7 @@ def held_out_whole(state: State, candidate: ActiveEffect) -> float:
     places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
     middles, _ = spread_out(places, BLOCKS)
     part = np.argmin(np.linalg.norm(places[:, None] - middles, axis=2), axis=1)
-    without, with_it = held_back(state, candidate, part).sum(axis=(1, 2))
+    without, with_it = held_back_errors(state, candidate, part).sum(axis=(1, 2))
     return float(1.0 - with_it / without)
 
 
@@ -223,7 +223,7 @@ def _p_value_over_time(state: State, candidate: ActiveEffect) -> float:
     if not candidate.effect.smooth:
         return _p_value_of_clusters(state, candidate.effect, np.eye(len(candidate.effect.coefficients)), run)
     # It may have more freedom than there are stretches: whole stretches are held back instead.
-    loss = held_back(state, candidate, run % FOLDS).sum(axis=1)
+    loss = held_back_errors(state, candidate, run % FOLDS).sum(axis=1)
     return _p_value_of_losses(np.array([np.bincount(run, each) for each in loss]))
 
 
@@ -258,7 +258,7 @@ def signed_ranks(values: np.ndarray) -> float:
     return float(ndtr(-above / np.sqrt(max(spread, TINY))))
 
 
-def held_back(state: State, candidate: ActiveEffect, part: np.ndarray) -> np.ndarray:
+def held_back_errors(state: State, candidate: ActiveEffect, part: np.ndarray) -> np.ndarray:
     """Squared error in sigmas of each row in use when the rows of its part are held back, without and with a candidate.
 
     Args:
@@ -279,7 +279,7 @@ def held_back(state: State, candidate: ActiveEffect, part: np.ndarray) -> np.nda
 
 
 def held_back_folds(state: State, candidate: ActiveEffect) -> np.ndarray:
-    r"""As :func:`held_back` with the folds as parts, from sums that are there already, shape (2, C, n).
+    r"""As :func:`held_back_errors` with the folds as parts, from sums that are there already, shape (2, C, n).
 
     One factorisation serves both: with the candidate's columns last, its leading block is that of the model without them.
     """

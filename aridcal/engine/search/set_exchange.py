@@ -15,7 +15,7 @@ from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.ranking import rank, with_flags
 from aridcal.engine.search.sets import Choices, evidence_of_set, family
 from aridcal.engine.search.state import State, activate
-from aridcal.engine.search.steps import grown, tidied
+from aridcal.engine.search.steps import grow, tidy
 from aridcal.system.progress import Progress
 
 FEWEST = 4
@@ -36,7 +36,7 @@ FAMILIES = 4
 """Work: Of which a set is made at the most: what bends, what yields, what turns unevenly, and one more."""
 
 
-def regrown(state: State, choices: Choices, progress: Progress) -> State:
+def regrow_sets(state: State, choices: Choices, progress: Progress) -> State:
     """The best of the sets that are grown from others further away, or the set as it is.
 
     Args:
@@ -55,8 +55,8 @@ def regrown(state: State, choices: Choices, progress: Progress) -> State:
     sets = sorted(_distant_sets(state, choices.library), key=evidence, reverse=True)
     sets = [*sets[:TRIED], _set_of_families(state, choices.library, evidence)]
     for trial in progress.over(sets, "sets of effects"):
-        trial = grown(trial, choices, MOST_GROWN, False, progress)[0]
-        trial = tidied(trial, choices, 1, progress)
+        trial = grow(trial, choices, MOST_GROWN, False, progress)[0]
+        trial = tidy(trial, choices, 1, progress)
         least = before if _curves(trial) < curves else before + STRONG
         if (after := evidence(trial)) > max(value, least):
             best, value = trial, after

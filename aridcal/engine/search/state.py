@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.smooth import samples_root
-from aridcal.engine.fit.flags import flagged
+from aridcal.engine.fit.flags import outlier_rows
 from aridcal.engine.fit.normal_equations import NormalEquations, accumulate, conditional
 from aridcal.engine.fit.normal_equations import solve as solve_equations
 from aridcal.engine.instruments.channels import Channels, flat, spread
@@ -231,7 +231,7 @@ def solve_state(
         solution = solve(equations, precision, sigma)
         residual = _residual(model, active, solution.beta)
         sigma = solution.sigma
-        sound = ~flagged(model.holed(residual), model.channels, model.limit)
+        sound = ~outlier_rows(model.holed(residual), model.channels, model.limit)
         if fixed or np.array_equal(sound, in_use):
             break
     return State(model, tuple(active), precision, equations, solution, residual, in_use, unused, extra)

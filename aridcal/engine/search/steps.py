@@ -8,10 +8,10 @@ import numpy as np
 
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.regional_kind import is_field
-from aridcal.engine.search.candidates import hinted
+from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.curves import reshaped
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.ranking import REFINED, in_place_of, rank, with_effect, with_flags
+from aridcal.engine.search.ranking import REFINED, rank, substitutes, with_effect, with_flags
 from aridcal.engine.search.scoring import ALPHA, Judgement, judge, refine
 from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.sets import Choices
@@ -25,7 +25,7 @@ BETTER = 1.0
 """[nat] by which another candidate must do better to take an effect's place: without it, near twins change for ever."""
 
 
-def grown(
+def grow(
     state: State, choices: Choices, most: int, small: bool, progress: Progress
 ) -> tuple[State, tuple[Judgement, ...]]:
     """A model grown by candidates that pass the tests, and the judgements of the last candidates that did not.
@@ -53,7 +53,7 @@ def grown(
             break
         state = with_effect(with_rows, effect, score)
         if small and len(state.active) > 1:
-            state = tidied(state, choices, 1, progress)
+            state = tidy(state, choices, 1, progress)
         if frozenset(state.effects) in sets:
             break  # effects are added and taken out again in circles
         sets.add(frozenset(state.effects))
@@ -76,17 +76,17 @@ def _worth_judging(
 
 def _with_rows_of_hints(state: State, kinds: Collection[str]) -> tuple[State, list[Effect]]:
     """The model solved with the flagged rows that a hint would explain, which are its evidence; and the hints."""
-    in_use, hints = state.used.copy(), hinted(state, kinds)
+    in_use, hints = state.used.copy(), hinted_candidates(state, kinds)
     for effect in hints:
         if effect.smooth or is_field(effect):
             in_use |= np.any(state.model.columns(effect), axis=(1, 2))
     if np.array_equal(in_use, state.used):
         return state, hints
     state = solve_state(state.model, state.active, state.solution.sigma, in_use, fixed=True)
-    return state, hinted(state, kinds)
+    return state, hinted_candidates(state, kinds)
 
 
-def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> State:
+def tidy(state: State, choices: Choices, rounds: int, progress: Progress) -> State:
     """The model with each effect taken out in turn: dropped if it fails the tests, exchanged if another does better.
 
     Curves that stay are shaped anew beside all other effects.
@@ -104,7 +104,7 @@ def tidied(state: State, choices: Choices, rounds: int, progress: Progress) -> S
             if effect not in removable or effect not in state.effects:
                 continue
             without = without_effect(state, effect)
-            rivals = in_place_of(state, library, effect)
+            rivals = substitutes(state, library, effect)
             ranked = rank(without, rivals, {effect.kind}, also, progress, rough[effect])
             score = next((s for e, s in ranked if e == effect), None)
             if score is None:  # a map of the same joint, added since, covers it

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.search.ranking import is_small, with_effect, with_flags
 from aridcal.engine.search.scoring import Judgement, judge, score_of
-from aridcal.engine.search.set_exchange import regrown
+from aridcal.engine.search.set_exchange import regrow_sets
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, without_effect
-from aridcal.engine.search.steps import grown, tidied
+from aridcal.engine.search.steps import grow, tidy
 from aridcal.system.progress import SILENT, Progress
 
 MOST = 14
@@ -61,8 +61,8 @@ def search(
     most += len(start.active)
     small = is_small(start.model, library)
     if not (small and exchange):
-        state, rejected = grown(start, choices, most, small, progress)
-        state = tidied(state, choices, 1, progress) if exchange else state
+        state, rejected = grow(start, choices, most, small, progress)
+        state = tidy(state, choices, 1, progress) if exchange else state
         return StepwiseResult(state, rejected, choices.count)
     simple = [e for e in library if len(e.slots) == 1]
     state = _passes(start, choices.only(simple), most, progress)[0] if simple else start
@@ -70,27 +70,27 @@ def search(
     return StepwiseResult(state, rejected, choices.count)
 
 
-def exchanged(result: StepwiseResult, library: Sequence[Effect], progress: Progress = SILENT) -> StepwiseResult:
+def exchange_sets(result: StepwiseResult, library: Sequence[Effect], progress: Progress = SILENT) -> StepwiseResult:
     """The result, or one with a better set that single steps do not lead to; such sets are tried where that is cheap."""
     state = result.state
     if not is_small(state.model, library):
         return result
-    return replace(result, state=regrown(state, Choices.of(library, result.tested), progress))
+    return replace(result, state=regrow_sets(state, Choices.of(library, result.tested), progress))
 
 
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """The model with effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
     for _ in range(PASSES):
-        state, rejected = grown(state, choices, most, True, progress)
+        state, rejected = grow(state, choices, most, True, progress)
         before = state.effects
-        state = tidied(state, choices, 2, progress)
+        state = tidy(state, choices, 2, progress)
         if state.effects == before:
             break
     return state, rejected
 
 
-def confirmed(state: State, tested: int, progress: Progress = SILENT) -> State:
+def confirm(state: State, tested: int, progress: Progress = SILENT) -> State:
     """The model without the effects that would fail the tests now, tried one after the other.
 
     Args:

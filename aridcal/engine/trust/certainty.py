@@ -12,7 +12,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.tolerance import ToleranceAnswer, beyond, instrument_noise, kept, unjudged
+from aridcal.engine.trust.tolerance import ToleranceAnswer, excess_error, instrument_noise, no_answer, tolerance_answer
 from aridcal.engine.trust.workspace import Knowledge, OpenCombination, Workspace, ends, knowledge, spread_out
 
 CLOUD = 8192
@@ -130,12 +130,12 @@ def certainty(
     for turn, of in enumerate(("position", "rotation")):
         tolerance = wanted.tolerance[turn]
         measured = rows.sees_turns or not turn
-        excess = beyond(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if measured else None
-        answer = kept(known_model, region, moves, excess, tolerance, bool(turn))
+        excess = excess_error(fit, rows, judging, outlier, residual, noise, tool, bool(turn)) if measured else None
+        answer = tolerance_answer(known_model, region, moves, excess, tolerance, bool(turn))
         if answer is not None:
             answers.append(answer)
         elif tolerance is not None:
-            answers.append(unjudged(of, tolerance))
+            answers.append(no_answer(of, tolerance))
     slices = _slices(known_model, train)
     if any(tool):
         title += f", for the point {', '.join(f'{1e3 * number:g}' for number in tool)} mm from the target"

@@ -95,7 +95,7 @@ class Identifiability:
     sigma: float
 
 
-def known(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Identifiability | None:
+def identifiability(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Identifiability | None:
     """Ask what rows tell of the arm's constants; None for a fit without such constants.
 
     Args:

@@ -77,7 +77,7 @@ class Coverage:
         unlike = np.zeros(len(std), dtype=bool)
         for name, (low, high) in self.ranges.items():
             values = columns[name]
-            unlike |= (values < low) | (values > high) | inside(values, self.holes.get(name, ()))
+            unlike |= (values < low) | (values > high) | in_ranges(values, self.holes.get(name, ()))
         for axes, largest in zip(CHANNELS, self.largest, strict=True):
             unlike |= np.linalg.norm(std[:, axes], axis=1) > SPREAD * largest
         return unlike
@@ -110,7 +110,7 @@ def holes(values: np.ndarray) -> tuple[Range, ...]:
     return tuple((first, last) for first, last in edges.tolist())
 
 
-def elsewhere(columns: Mapping[str, np.ndarray], recorded: Mapping[str, Range]) -> np.ndarray:
+def recorded_elsewhere(columns: Mapping[str, np.ndarray], recorded: Mapping[str, Range]) -> np.ndarray:
     """Rows in which a recorded column, on which nothing depends, has left its range, shape (N,) bool.
 
     Args:
@@ -141,7 +141,7 @@ def largest(std: np.ndarray) -> tuple[float, float]:
     return position, rotation
 
 
-def inside(values: np.ndarray, ranges: Sequence[Range]) -> np.ndarray:
+def in_ranges(values: np.ndarray, ranges: Sequence[Range]) -> np.ndarray:
     """True where a value, shape (N,), lies strictly inside one of some ranges."""
     within = [(values > low) & (values < high) for low, high in ranges]
     return np.any(within, axis=0) if within else np.zeros(len(values), dtype=bool)

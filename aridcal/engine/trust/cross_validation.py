@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.normal_equations import solve
 from aridcal.engine.fit.problem import unscaled
 from aridcal.engine.instruments.channels import norms, spread
@@ -26,7 +26,7 @@ from aridcal.engine.levels import BLOCKS
 from aridcal.engine.model.many_rows import blocks
 from aridcal.engine.numerics import RIDGE
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
@@ -113,7 +113,7 @@ def folds(fit: Fit, train: Dataset, rows: Columns) -> Folds | None:
         rows: See :func:`rows_of`.
     """
     data = train.select(rows.rows)
-    together = held_together(data)
+    together = held_back_groups(data)
     if len(fit.theta) == 0 or together.max(initial=0) + 1 < BLOCKS:
         return None
     fold = (np.random.default_rng(3).permutation(int(together.max()) + 1) % BLOCKS)[together]
@@ -194,7 +194,7 @@ def _shares(J: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     acts = J.any(axis=1)
     most = int(acts.sum(axis=1).max(initial=0))
     if 4 * most > len(covariance):  # to pick them out takes longer than the one product of all
-        return carried(J, covariance)
+        return covariance_of_rows(J, covariance)
     which = np.argsort(~acts, axis=1, kind="stable")[:, :most]
     columns = np.take_along_axis(J, which[:, None], axis=2)
     shares = np.empty((len(J), J.shape[1], J.shape[1]))

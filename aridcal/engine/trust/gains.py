@@ -15,7 +15,7 @@ from aridcal.engine.corrections.regional_kind import is_local
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.fit.problem import Problem, problem
-from aridcal.engine.fit.residual import things_again
+from aridcal.engine.fit.residual import problem_with_things
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.levels import FAINT, FOLDS
 from aridcal.engine.numerics import TINY
@@ -23,7 +23,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.diagnose import SearchResult
 from aridcal.engine.search.noise_tests import Clue
 from aridcal.engine.search.rival_models import RivalModel
-from aridcal.engine.search.scoring import held_back
+from aridcal.engine.search.scoring import held_back_errors
 
 GRID = 160
 """Drawn: Points of a curve, at least: it is drawn without corners."""
@@ -194,11 +194,11 @@ def _over_time(diagnosed: SearchResult) -> float | None:
         return None
     other_effects = [a for a in state.active if a is not of_time[-1]]
     without_it = state.with_active(other_effects, fixed=True)
-    squares = held_back(without_it, of_time[-1], linear.run[state.used] % FOLDS)
+    squares = held_back_errors(without_it, of_time[-1], linear.run[state.used] % FOLDS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
-def refitted(fit: Fit, zeroed: np.ndarray, free: np.ndarray) -> np.ndarray:
+def refit_coefficients(fit: Fit, zeroed: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Coefficients of a model of which some are taken to be zero, and others fitted anew to the same rows.
 
     Args:
@@ -218,11 +218,11 @@ def _with_effects(fit_problem: Problem, fit: Fit, effects: Sequence[Effect]) -> 
     """Residuals of a model with some of its effects only, all else refitted, shape (n, m)."""
     names = {c.name for e in effects for c in e.coefficients}
     keep = np.array([c.basis.constant or c.name in names for c in fit.model.coefficients], dtype=bool)
-    theta = refitted(fit, ~keep, keep)
+    theta = refit_coefficients(fit, ~keep, keep)
     train = fit_problem.data.train
     weight = np.zeros(len(train))
     weight[train] = fit.weight
-    with_things = things_again(fit_problem, theta, weight)
+    with_things = problem_with_things(fit_problem, theta, weight)
     # Things that held-out rows alone refer to are solved from these rows, as for the whole model.
     states = {
         name: np.where(np.isnan(state), state, with_things.states[name]) for name, state in fit_problem.states.items()
@@ -235,7 +235,7 @@ def _without(fit_problem: Problem, fit: Fit, effect: Effect) -> np.ndarray:
     names = {c.name for c in effect.coefficients}
     zeroed = np.array([name in names for name in fit.model.names], dtype=bool)
     constant = np.array([c.basis.constant for c in fit.model.coefficients], dtype=bool)
-    return fit.model.poses(refitted(fit, zeroed, constant), fit_problem.rows)[1]
+    return fit.model.poses(refit_coefficients(fit, zeroed, constant), fit_problem.rows)[1]
 
 
 def _rms(r: np.ndarray, channels: Channels) -> float:

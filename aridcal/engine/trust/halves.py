@@ -35,7 +35,7 @@ from aridcal.engine.levels import RARE
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.trust.columns import Columns, columns_of
 from aridcal.system.progress import SILENT, Progress
 
@@ -372,7 +372,7 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(int.from_bytes(hashlib.sha256(content).digest()))
     N, m = rows.r.shape
     if rows.share < 1.0:  # rows of one place are one measurement
-        place = held_together(data)
+        place = held_back_groups(data)
         of_places = rng.standard_normal((int(place.max()) + 1, m, DRAWS))
         draws = of_places[place] * np.sqrt(rows.share)
     else:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.combinations import Identifiability, known
+from aridcal.engine.trust.combinations import Identifiability, identifiability
 from aridcal.engine.trust.cross_validation import Folds, Influence, folds, influence, rows_of
 from aridcal.engine.trust.halves import Halves, halves
 from aridcal.system.progress import SILENT, Progress
@@ -44,5 +44,5 @@ def second_look(geometric: Fit, final: Fit, train: Dataset, progress: Progress =
         halves={name: halves(fit, train, progress) for name, fit in (stages | {"final": final}).items()},
         folds=folds(final, train, rows),
         influence=influence(final, rows),
-        known=known(geometric, train, progress),
+        known=identifiability(geometric, train, progress),
     )

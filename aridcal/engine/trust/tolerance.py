@@ -27,7 +27,7 @@ from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import DOUBT
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.target_uncertainty import at_target
+from aridcal.engine.trust.target_uncertainty import target_view
 from aridcal.engine.trust.workspace import Knowledge, Workspace
 
 SHARE = 0.95
@@ -155,7 +155,7 @@ def instrument_noise(fit: Fit, rows: Dataset, repeats: RepeatScatter | None) -> 
     return np.where(true, np.minimum(declared_sigma, scatter), 0.0)
 
 
-def beyond(
+def excess_error(
     fit: Fit,
     rows: Dataset,
     judging: np.ndarray,
@@ -185,7 +185,7 @@ def beyond(
     if not len(judging_rows):
         return None
     fit_problem = problem(fit.model, judging_rows).settled(fit.theta)
-    view = at_target(fit, judging_rows)
+    view = target_view(fit, judging_rows)
     sigma = spread(noise, rows.channels)
     size, squares, scatter, model, ranks = np.full((5, len(judging_rows)), np.nan)
     residuals, declared = residual[judging], True
@@ -235,7 +235,7 @@ def beyond(
     )
 
 
-def kept(
+def tolerance_answer(
     known_model: Knowledge,
     region: Workspace,
     moves: tuple[np.ndarray, np.ndarray],
@@ -312,7 +312,7 @@ def kept(
     )
 
 
-def unjudged(of: str, tolerance: float) -> ToleranceAnswer:
+def no_answer(of: str, tolerance: float) -> ToleranceAnswer:
     """The answer where a tolerance was given, and no row tells anything of it."""
     nan = float("nan")
     reasons = (f"no row tells the target's {of}",)

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.fit.noise import carried, contradicted
+from aridcal.engine.fit.noise import covariance_of_rows, noise_ratio
 from aridcal.engine.fit.problem import BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise
 from aridcal.engine.instruments.channels import Channels
@@ -44,7 +44,7 @@ def precision(fit: Fit, train: Dataset) -> Precision:
     return Precision(position, rotation)
 
 
-def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
+def with_contradicted_noise(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fit:
     r"""The same fit, its covariance enlarged where the residuals contradict a smaller declared noise.
 
     .. math:: \Sigma + \Sigma \Big( \sum_c (s_c^2 - 1) A_c^T A_c / \sigma_c^2 \Big) \Sigma
@@ -57,7 +57,7 @@ def with_noise_seen(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Fi
         train: The rows that it was fitted to.
         progress: Told how far the pass over them is.
     """
-    excess = np.maximum(contradicted(train, fit.estimated, fit.freedom), 1.0)
+    excess = np.maximum(noise_ratio(train, fit.estimated, fit.freedom), 1.0)
     if np.all(excess == 1.0):
         return fit
     equations = linearise(problem(fit.model, train, progress), fit.theta, fit.weight, fit.sigma).equations
@@ -76,7 +76,11 @@ def target_sigma(fit: Fit, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
     for start in range(0, len(rows), BLOCK):
         block = slice(start, start + BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
-        covariance = carried(J, fit.covariance) if local is None else local.carried(J, rows.phi[block], fit.covariance)
+        covariance = (
+            covariance_of_rows(J, fit.covariance)
+            if local is None
+            else local.carried(J, rows.phi[block], fit.covariance)
+        )
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
             variance = np.linalg.eigvalsh(covariance[:, part, part])[:, -1]
             worst[k, block] = np.sqrt(np.maximum(variance, 0.0))

@@ -11,7 +11,7 @@ from aridcal.engine.trust.coverage import CHANNELS
 from aridcal.engine.trust.workspace import TOLD, OpenCombination, target_covariance, worst_direction
 
 
-def with_untold(
+def with_unobservable(
     model: Model, theta: np.ndarray, untold: Sequence[OpenCombination]
 ) -> tuple[Model, np.ndarray, np.ndarray]:
     """A model with the constants that no reading tells beside its own, its coefficients, and their covariance.
@@ -31,7 +31,7 @@ def with_untold(
     return model.with_coefficients(coefficients), np.append(theta, np.zeros(len(extra))), factors @ factors.T
 
 
-def told_of(
+def observable_rows(
     model: Model, theta: np.ndarray, untold: Sequence[OpenCombination], rows: ModelRows, turns: bool
 ) -> np.ndarray:
     """Rows at which the readings tell the target wholly, shape (N,) bool.
@@ -43,6 +43,6 @@ def told_of(
         rows: N rows.
         turns: Whether the target's rotation counts, too.
     """
-    covariance = target_covariance(*with_untold(model, theta, untold), rows)
+    covariance = target_covariance(*with_unobservable(model, theta, untold), rows)
     parts = CHANNELS if turns else CHANNELS[:1]
     return np.all([worst_direction(covariance[:, part, part])[0] < TOLD for part in parts], axis=0)

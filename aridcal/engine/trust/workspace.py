@@ -24,11 +24,11 @@ from aridcal.engine.corrections.effect import FRAME_COMPONENTS, Coefficient
 from aridcal.engine.corrections.regional_kind import far_from_nodes
 from aridcal.engine.fit.constants import has_world, measures_target
 from aridcal.engine.fit.least_squares import Fit, thin
-from aridcal.engine.fit.noise import carried
+from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.fit.normal_equations import solve
 from aridcal.engine.fit.problem import BLOCK, problem
 from aridcal.engine.fit.residual import linearise
-from aridcal.engine.model.many_rows import blocks, few
+from aridcal.engine.model.many_rows import blocks, short_stretches
 from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
@@ -190,14 +190,14 @@ class Knowledge:
         local, extra = self.wide.local, len(self.open)
         if local is None:
             p, by_coefficients, by_open = self.columns(rows, tool)
-            return p, carried(by_coefficients, self.fit.covariance), carried(by_open, self.open)
+            return p, covariance_of_rows(by_coefficients, self.fit.covariance), covariance_of_rows(by_open, self.open)
         R, p, twists = self.wide.motions(np.append(self.fit.theta, np.zeros(extra)), rows)
         arm, covariance = R @ tool, np.pad(self.fit.covariance, (0, extra))
         twists = shifted(twists, arm)
         # Only constants follow the open ones: coefficients that act in few rows have no part in it.
         combinations = np.vstack([-self.follows, np.eye(extra)])[local.plain]
         by_open = twists[:, :, local.carrier[local.plain]] @ combinations
-        return p + arm, local.carried(twists, rows.phi, covariance), carried(by_open, self.open)
+        return p + arm, local.carried(twists, rows.phi, covariance), covariance_of_rows(by_open, self.open)
 
     def untold(self, rows: ModelRows, turns: bool) -> tuple[OpenCombination, ...]:
         """Independent combinations of constants that no reading tells, and that move the target or turn it somewhere.
@@ -273,10 +273,12 @@ def target_covariance(
         covariances[of] = target_covariance(
             chain, theta[of_chain], covariance[np.ix_(of_chain, of_chain)], its_rows, tool
         )
-    for some in [] if chains else few(len(rows)):
+    for some in [] if chains else short_stretches(len(rows)):
         R, _, J = (model.jacobian if local is None else model.motions)(theta, rows[some])
         J = J if tool is None else shifted(J, R @ tool)
-        covariances[some] = carried(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
+        covariances[some] = (
+            covariance_of_rows(J, covariance) if local is None else local.carried(J, rows.phi[some], covariance)
+        )
     return covariances
 
 

@@ -11,7 +11,7 @@ from itertools import combinations
 from aridcal.files.formats.number_marks import is_number
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import BLANKS
-from aridcal.system.reading.tables_in_dialect import is_units, joined, split_line, uncommented
+from aridcal.system.reading.tables_in_dialect import is_units, joined_header, split_line, strip_comment
 
 SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 """Tried in this order; of two that part the same numbers the first, blanks only where nothing else parts any."""
@@ -104,7 +104,7 @@ def _layout(lines: Sequence[str], separator: str) -> TableLayout | None:
         first -= 1
     comment = sorted(used) + _summaries(split, rows, numeric, first)
     header = _header(lines, split, commented, first, comment, separator, numeric, width)
-    names = joined([split_line(uncommented(lines[k], comment), separator) for k in header]) if header else []
+    names = joined_header([split_line(strip_comment(lines[k], comment), separator) for k in header]) if header else []
     _refuse_second_header(split, header, rows, numeric)
     return TableLayout(
         separator, tuple(k + 1 for k in header), first + 1, tuple(comment), tuple(names),
@@ -199,7 +199,7 @@ def _header(
     above: list[int] = []
     cells_of: dict[int, list[str]] = {}
     for k in range(first - 1, max(first - 1 - ABOVE, -1), -1):
-        cells = split_line(uncommented(lines[k], comment), separator) if commented[k] else list(split[k])
+        cells = split_line(strip_comment(lines[k], comment), separator) if commented[k] else list(split[k])
         if not cells:
             if above:
                 break
@@ -220,7 +220,7 @@ def _header(
     upper = sorted(above[1:], key=lambda k: any(cell.lower() in LAST_CHOSEN for cell in cells_of[k][:2]))
     choices = [(above[0],), *((k, above[0]) for k in upper), *((a, b, above[0]) for a, b in combinations(upper, 2))]
     for chosen in choices:
-        names = joined([cells_of[k] for k in sorted(chosen)])
+        names = joined_header([cells_of[k] for k in sorted(chosen)])
         shown = [names[k] if k < len(names) else "" for k in sorted(numeric)]
         if all(name and not is_number(name) and "#" not in name.split(" ")[-1] for name in shown):
             return sorted([*chosen, *units])

@@ -16,11 +16,11 @@ from aridcal.files.formats.encodings import encoding
 from aridcal.files.formats.layout import TableLayout, layout, list_parts, list_size
 from aridcal.files.formats.makers import maker
 from aridcal.files.formats.number_marks import is_number, marks
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dates import has_date, orders, seconds
 from aridcal.system.reading.dialect import PLAIN, Dates, Dialect
-from aridcal.system.reading.numerals import several
+from aridcal.system.reading.numerals import numbers_in_list
 from aridcal.system.reading.regular_files import Limit
 from aridcal.system.reading.tables_in_dialect import LINE_END, decoded
 
@@ -160,7 +160,7 @@ def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, s
     tables = [name for name in names if layout(texts[name][:MOST].split("\n")[:LOOKED_AT])]
     if not tables:
         raise MeasurementError(
-            f"{path}: none of the sheets {listed(names)} holds a table of numbers; name the table that was measured"
+            f"{path}: none of the sheets {name_list(names)} holds a table of numbers; name the table that was measured"
         )
     k = (
         0
@@ -175,13 +175,13 @@ def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
     lists: dict[str, tuple[str, ...]] = {}
     for k, name in enumerate(found.names):
         cells = [row[k] for row in found.rows if k < len(row) and row[k]]
-        sizes = {len(several(cell, PLAIN)) for cell in cells if list_size(cell)}
+        sizes = {len(numbers_in_list(cell, PLAIN)) for cell in cells if list_size(cell)}
         if not (name and cells) or len(sizes) != 1 or not all(map(list_size, cells)):
             continue
         size = sizes.pop()
         about = name.lower()
         named: tuple[str, ...] | None = None
-        groups = [len(several(part, PLAIN)) for part in GROUP.findall(cells[0])]
+        groups = [len(numbers_in_list(part, PLAIN)) for part in GROUP.findall(cells[0])]
         if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
             named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
         elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes

@@ -52,12 +52,12 @@ RowCounter = Callable[[int], None]
 """Gets the number of rows that are done."""
 
 
-def unheard(rows: int) -> None:
+def ignore_count(rows: int) -> None:
     """Ignore the number of rows that are done."""
 
 
 def compensate(
-    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: RowCounter = unheard
+    saved: SavedModel, query: Query, trajectory: Trajectory | None = None, report: RowCounter = ignore_count
 ) -> pd.DataFrame:
     """Fill in the joint commands for each row of wanted poses.
 
@@ -83,7 +83,7 @@ def compensate(
     table = query.table.copy()
     cells = counting(settings, robot.readings, robot.kinds).cells(readings)
     names = [settings.columns.get(name, name) for name in robot.readings]
-    for k in np.flatnonzero(moved(saved) | np.isin(names, table.columns)):
+    for k in np.flatnonzero(commanded_columns(saved) | np.isin(names, table.columns)):
         table[names[k]] = cells[:, k]
     for name in directions(saved):
         table[settings.columns.get(name, name)] = settings.sense(name) * covariates[name]
@@ -96,7 +96,7 @@ def compensate(
     return with_told(saved, commanded, table)
 
 
-def moved(saved: SavedModel) -> np.ndarray:
+def commanded_columns(saved: SavedModel) -> np.ndarray:
     """Columns of readings that commands set, for any of the targets, shape (columns,) bool."""
     model = saved.final.model
     if len(model.routes) == 1:
@@ -123,7 +123,7 @@ class Trajectory:
         self._walks = _Walk(saved), _Walk(saved)
         self._sides = {name: (0.0, math.nan) for name in directions(saved)}
 
-    def follow(self, query: Query, report: RowCounter = unheard) -> tuple[list[Command], dict[str, np.ndarray]]:
+    def follow(self, query: Query, report: RowCounter = ignore_count) -> tuple[list[Command], dict[str, np.ndarray]]:
         """Command the rows of one more stretch.
 
         Returns:

@@ -15,18 +15,18 @@ from aridcal.engine.corrections.regional_kind import far_from_nodes, labels_of, 
 from aridcal.engine.inverse.one_pose import InverseKinematics
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.remarks import Remark
-from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Coverage, beyond_heat, elsewhere
-from aridcal.engine.trust.rival_predictions import between
-from aridcal.engine.trust.unobservable import told_of
+from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Coverage, beyond_heat, recorded_elsewhere
+from aridcal.engine.trust.rival_predictions import covariance_between
+from aridcal.engine.trust.unobservable import observable_rows
 from aridcal.engine.trust.workspace import spread_out, target_covariance, worst_direction
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import TARGET, MeasurementSettings
-from aridcal.files.orientations import QUATERNION, column_of, orientation_columns, other_way
+from aridcal.files.orientations import QUATERNION, column_of, orientation_columns, swap_direction
 from aridcal.files.quantities import POSITION, STD
 from aridcal.files.query import Query, QueryRows, load_query
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import MeasurementError
-from aridcal.system.reading.dates import of_the_day
+from aridcal.system.reading.dates import times_of_day
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -122,7 +122,7 @@ def _as_nights_count(saved: SavedModel, query: Query) -> Query:
     ranges = saved.seen
     if CLOCK not in query.covariates or CLOCK not in ranges:
         return query
-    return replace(query, covariates=query.covariates | {CLOCK: of_the_day(query.covariates[CLOCK], *ranges[CLOCK])})
+    return replace(query, covariates=query.covariates | {CLOCK: times_of_day(query.covariates[CLOCK], *ranges[CLOCK])})
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -204,7 +204,7 @@ def with_told(saved: SavedModel, query: Query, table: pd.DataFrame) -> pd.DataFr
         covariates = {name: values[usable] for name, values in query.covariates.items()}
         rows = final.model.rows(query.readings[usable], covariates, *query.labels(usable))
         determined = np.zeros(len(usable), dtype=bool)
-        determined[usable] = told_of(final.model, final.theta, saved.untold, rows, saved.turns)
+        determined[usable] = observable_rows(final.model, final.theta, saved.untold, rows, saved.turns)
         table["told"] = determined
     return table
 
@@ -224,7 +224,7 @@ def pose_columns(
         Values of each column, shape (N,) each, in the campaign's units; positions alone for `kind: position`.
     """
     units = settings.units
-    R, p = other_way(R, p, settings.inverted)
+    R, p = swap_direction(R, p, settings.inverted)
     names = [column_of(name, settings, joints) for name in POSITION]
     columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
     if settings.traits.place_alone:
@@ -313,8 +313,8 @@ def std_of(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None = None) -> np.ndarray:
     """Covariance of the target's pose between the causes that the rows could not tell apart, shape (N, 6, 6); NaN where unknown.
 
-    See :func:`aridcal.engine.trust.rival_predictions.between`. No row extrapolates because of it: where rivals differ, rows
-    may well be like the fitted ones.
+    See :func:`aridcal.engine.trust.rival_predictions.covariance_between`. No row extrapolates because of it: where rivals
+    differ, rows may well be like the fitted ones.
 
     Args:
         saved: The model.
@@ -327,7 +327,7 @@ def between_rivals(saved: SavedModel, query: QueryRows, tool: np.ndarray | None 
     covariates = {name: values[usable] for name, values in query.covariates.items()}
     final, ranges = saved.final, saved.seen
     covariance, labels = np.full((len(usable), 6, 6), np.nan), query.labels(usable)
-    covariance[usable] = between(
+    covariance[usable] = covariance_between(
         final.model, final.theta, saved.rivals, query.readings[usable], covariates, labels, ranges, tool
     )
     return covariance
@@ -346,8 +346,8 @@ def growth(saved: SavedModel, query: QueryRows) -> np.ndarray:
 def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.ndarray:
     """Rows that are unlike the fitted ones, shape (N,) bool.
 
-    See :meth:`aridcal.engine.trust.coverage.Coverage.beyond` and :func:`aridcal.engine.trust.coverage.elsewhere`. Further rows
-    are those far from all nodes of a field in space, and those with another label than the effects by label have.
+    See :meth:`aridcal.engine.trust.coverage.Coverage.beyond` and :func:`aridcal.engine.trust.coverage.recorded_elsewhere`.
+    Further rows are those far from all nodes of a field in space, and those with another label than the effects by label have.
 
     Args:
         saved: The model.
@@ -357,7 +357,7 @@ def extrapolates(saved: SavedModel, query: QueryRows, std: np.ndarray) -> np.nda
     readings = dict(zip(saved.final.model.robot.readings, query.readings.T, strict=True))
     coverage = Coverage(saved.ranges, saved.holes, saved.largest_std)
     unlike = coverage.beyond(query.covariates | readings, std)
-    unlike |= elsewhere(query.covariates | readings, saved.recorded)
+    unlike |= recorded_elsewhere(query.covariates | readings, saved.recorded)
     unlike |= not readings.keys() <= saved.ranges.keys()  # joints on the way to a link that were not calibrated
     unlike |= without_label((c.basis for c in saved.final.model.coefficients), query.covariates, len(unlike))
     usable = query.usable & np.isfinite(query.readings).all(axis=1)

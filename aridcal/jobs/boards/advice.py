@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from aridcal.jobs.boards.finders import GRID_FLAGS, MOST_MISPLACED, detected, find_circles, misplaced
+from aridcal.jobs.boards.finders import GRID_FLAGS, MOST_MISPLACED, detect_markers, find_circles, misplaced
 from aridcal.jobs.boards.patterns import dictionaries, dictionary_of
 from aridcal.jobs.head1992.charuco import Board
 
@@ -78,7 +78,7 @@ def _agreed(found: Sequence[RecognisedBoard | None]) -> RecognisedBoard | None:
 def _markers(image: np.ndarray) -> RecognisedBoard | None:
     """The smallest dictionary that has most of the markers, and whether they are those of a ChArUco board."""
     largest = {_family(name): name for name in sorted(dictionaries(), key=_words)}  # the smaller are its beginning
-    found = {family: detected(image, name) for family, name in largest.items()}
+    found = {family: detect_markers(image, name) for family, name in largest.items()}
     counts = {family: len(np.unique(numbers)) for family, (numbers, _) in found.items()}
     family = max(counts, key=lambda family: counts[family])
     if counts[family] < NO_CHANCE:

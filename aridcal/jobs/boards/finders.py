@@ -98,7 +98,7 @@ def find(image: np.ndarray, board: AnyBoard) -> ImageMarks:
     return _find_grid(image, board)
 
 
-def detected(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
+def detect_markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray]:
     """All markers of a dictionary in an image: their numbers (M,) and their corners, clockwise, (M, 4, 2), [px]."""
     detector = cv2.aruco.ArucoDetector(dictionary_of(dictionary))
     quads, numbers, _ = detector.detectMarkers(image)
@@ -113,9 +113,9 @@ def _markers(image: np.ndarray, dictionary: str) -> tuple[np.ndarray, np.ndarray
     Raises:
         NotMeasured: there are none, or more in the mirrored image.
     """
-    numbers, quads = detected(image, dictionary)
+    numbers, quads = detect_markers(image, dictionary)
     if len(numbers) < FEWEST_MIRRORED:
-        mirrored, _ = detected(np.ascontiguousarray(image[:, ::-1]), dictionary)
+        mirrored, _ = detect_markers(np.ascontiguousarray(image[:, ::-1]), dictionary)
         if len(mirrored) >= max(FEWEST_MIRRORED, 2 * len(numbers)) or (len(mirrored) and not len(numbers)):
             raise NotMeasured(MIRRORED)
     if not len(numbers):

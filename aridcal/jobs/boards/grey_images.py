@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.system.errors import AridcalError, listed
+from aridcal.system.errors import AridcalError, name_list
 from aridcal.system.reading.images import image_size, read_image_file
 from aridcal.system.reading.regular_files import IMAGE, MEGA
 from aridcal.system.reading.user_names import check_name
@@ -36,7 +36,7 @@ def listed_images(paths: Sequence[Path]) -> dict[str, Path]:
         if path.is_dir():
             files = sorted((file for file in path.iterdir() if file.suffix.lower() in ENDINGS), key=_counting_order)
             if not files:
-                raise AridcalError(f"{path}: no images in this folder; their names end in {listed(ENDINGS)}")
+                raise AridcalError(f"{path}: no images in this folder; their names end in {name_list(ENDINGS)}")
         else:
             files = [path]
         for file in files:

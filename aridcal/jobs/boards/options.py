@@ -104,7 +104,7 @@ def board_of(what: str, options: Mapping[str, Any]) -> Board | Chessboard | Circ
     return board
 
 
-def as_written(options: Mapping[str, Any]) -> str:
+def option_text(options: Mapping[str, Any]) -> str:
     """Options as they are typed."""
     return " ".join(f"--{name} {_as_typed(value)}" for name, value in options.items())
 

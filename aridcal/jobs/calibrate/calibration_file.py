@@ -330,7 +330,7 @@ def read_calibration(path: Path) -> tuple[CalibrationDocument, dict[str, Any]]:
         raise CampaignError(f"{problem}. {NOT_OURS}") from None
 
 
-def untold_document(combinations: Sequence[OpenCombination]) -> list[list[dict[str, Any]]]:
+def unobservable_document(combinations: Sequence[OpenCombination]) -> list[list[dict[str, Any]]]:
     """Combinations of constants that no reading tells, as plain data."""
     return [
         [{"where": c.where, "component": c.component, "station": c.station, "value": value} for c, value in part]
@@ -338,8 +338,8 @@ def untold_document(combinations: Sequence[OpenCombination]) -> list[list[dict[s
     ]
 
 
-def untold_of(document: CalibrationDocument) -> tuple[OpenCombination, ...]:
-    """Combinations from what :func:`untold_document` wrote."""
+def unobservable_combinations(document: CalibrationDocument) -> tuple[OpenCombination, ...]:
+    """Combinations from what :func:`unobservable_document` wrote."""
     return tuple(
         tuple((Coefficient(e.where, e.component, station=e.station), e.value) for e in part) for part in document.untold
     )

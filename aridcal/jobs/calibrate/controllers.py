@@ -20,7 +20,7 @@ from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.stages import recentred
 from aridcal.engine.instruments.channels import Channel, columns
 from aridcal.engine.model.model import Model
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.dh import DHTable, doty_yaml, kinematics_yaml, modified_dh, standard_dh, xyz_rpy
 from aridcal.engine.rows.dataset import Dataset, with_sigma
 from aridcal.engine.trust.regions import Region, Regions, regions
@@ -139,7 +139,7 @@ def controller_exports(outcome: Outcome) -> ControllerExports:
         offsets={name: float(zeros[f"{name}.axis"]) for name in robot.readings if f"{name}.axis" in zeros},
         maps=_curves(outcome, with_maps) if with_maps is not None else {},
         with_maps=with_maps,
-        calibrated=same_chain(robot, stage_urdf(outcome.stage("geometric").fit)),
+        calibrated=chain_in_urdf(robot, stage_urdf(outcome.stage("geometric").fit)),
         regions=of_regions,
     )
 

@@ -311,7 +311,7 @@ def moment(step: Basis, rows: Dataset) -> dict[str, Any]:
     return document | ({"time": float(time)} if np.isfinite(time) else {})
 
 
-def what_moved(effect: Effect, rows: Dataset) -> str:
+def step_in_words(effect: Effect, rows: Dataset) -> str:
     """A step in words, ``world_base moved between rows 117 and 118``; empty for what always acts."""
     if effect.at is None:
         return ""

@@ -25,14 +25,14 @@ from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.normal_equations import inverse
 from aridcal.engine.fit.problem import problem
-from aridcal.engine.fit.residual import eliminated
+from aridcal.engine.fit.residual import reduced_stretches
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import CERTAINLY, FOLDS
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.numerics import RIDGE
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.search.noise_tests import SURE
 
 MOST_ROWS = 600
@@ -65,7 +65,7 @@ def gravity_direction(fit: Fit, rows: Dataset) -> str:
         return ""
     some = rows.select(~fit.outliers) if fit.outliers.any() else rows
     some = some.select(np.linspace(0, len(some) - 1, min(len(some), MOST_ROWS)).round().astype(int))
-    place = held_together(some)
+    place = held_back_groups(some)
     loads = _loads(fit, some)
     if place.max() + 1 < FOLDS**2 or not loads:
         return ""
@@ -104,7 +104,9 @@ def _columns(fit: Fit, rows: Dataset, loads: dict[tuple[str, int], np.ndarray]) 
     with_loads = replace(rows, covariates={**rows.covariates, **{name: values for name, (_, values) in named.items()}})
     larger_model = replace(model.with_coefficients((*model.coefficients, *waves, *pulls)), states=model.states)
     theta = np.concatenate([fit.theta, np.zeros(len(waves) + len(pulls))])
-    pieces = [(r, J) for _, r, J in eliminated(problem(larger_model, with_loads), theta, np.ones(len(rows)), fit.sigma)]
+    pieces = [
+        (r, J) for _, r, J in reduced_stretches(problem(larger_model, with_loads), theta, np.ones(len(rows)), fit.sigma)
+    ]
     r, J = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
     sigma = spread(fit.sigma, rows.channels)
     return r / sigma, J / sigma[:, None]

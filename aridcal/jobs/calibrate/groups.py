@@ -27,7 +27,7 @@ from aridcal.engine.levels import FEWEST_ROWS, FEWEST_TOGETHER
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import SURE, Clue
-from aridcal.system.errors import listed
+from aridcal.system.errors import name_list
 
 LEAST_SHARE = 0.04
 """Share of the rows that a group has at the least: fewer are outliers, and flagged as such."""
@@ -122,7 +122,7 @@ def _clue(rows: Dataset, channels: Channels, words: str, r: np.ndarray, times: i
     shift = r[few].mean(axis=0) - r[~few].mean(axis=0)
     along = shift / np.linalg.norm(shift)
     variance = float(np.mean(few)) * float(np.mean(~few)) * float(shift @ shift) / max(float(np.var(r @ along)), TINY)
-    lines = listed([str(line) for line in np.sort(rows.origin.line[few]).tolist()])
+    lines = name_list([str(line) for line in np.sort(rows.origin.line[few]).tolist()])
     what = (
         f"{few.sum()} of {len(few)} rows are {_shift(shift, channels)} off the others, {words}".rstrip(", ")
         + f": is the target seated otherwise there? Lines {lines}"

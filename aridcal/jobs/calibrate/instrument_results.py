@@ -228,7 +228,7 @@ def _values(things: Things, name: str, state: np.ndarray, result: _ThingResult, 
     ]
 
 
-def known_scale(rows: Dataset) -> float | None:
+def known_scale_sigma(rows: Dataset) -> float | None:
     """1-sigma of the scale of the measurements from lengths that are known beforehand, [m/m].
 
     Returns:
@@ -253,7 +253,7 @@ def scale_std(fit: Fit, train: Dataset) -> float | None:
         fit: A stage.
         train: The rows that it was fitted to.
     """
-    beforehand = known_scale(train)
+    beforehand = known_scale_sigma(train)
     if beforehand is None or beforehand == 0.0 or np.isinf(beforehand):
         return beforehand
     fit_problem = problem(fit.model, train)

@@ -71,7 +71,7 @@ def read_job(
     return CalibrationJob(inputs.campaign, robot, rows, inputs.detections, still, started, seed, cache)
 
 
-def looked_again(job: CalibrationJob, lens: np.ndarray, progress: Progress) -> CalibrationJob:
+def redetect_fiducials(job: CalibrationJob, lens: np.ndarray, progress: Progress) -> CalibrationJob:
     """The job with fiducials sought again in its images by another lens, intrinsics of shape (9,)."""
     inputs = read_rows(job.campaign, job.robot, job.cache, job.seed, progress, lens)
     rows = with_directions(inputs.rows)

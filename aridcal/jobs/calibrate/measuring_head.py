@@ -74,7 +74,7 @@ class MeasuringHead:
     notices: tuple[str, ...]
 
 
-def lens_found(geometric: Fit, final: Fit, detections: Detections) -> np.ndarray | None:
+def identified_lens(geometric: Fit, final: Fit, detections: Detections) -> np.ndarray | None:
     """Intrinsics of the camera as identified, shape (9,), where fiducials should be looked for again with them; else None.
 
     Args:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.engine.fit.constants import asked_constants, station_labels, unused_links
+from aridcal.engine.fit.constants import constants_of_question, station_labels, unused_links
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.noise import RepeatScatter, declared_notices, repeats
@@ -20,7 +20,7 @@ from aridcal.engine.model.rigid_bodies import targets_of_one_body
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.search.declared_effects import CONFOUNDED, NO_BETTER
 from aridcal.engine.search.diagnose import SEARCHED, SearchResult
 from aridcal.engine.search.loop import (
@@ -36,18 +36,18 @@ from aridcal.engine.search.residual_trends import trace
 from aridcal.engine.trust.certainty import certainty
 from aridcal.engine.trust.gains import explain
 from aridcal.engine.trust.second_look import second_look
-from aridcal.engine.trust.uncertainty import FAR, outliers, precision, realigned, with_noise_seen
+from aridcal.engine.trust.uncertainty import FAR, outliers, precision, realigned, with_contradicted_noise
 from aridcal.files.campaign import Campaign
 from aridcal.files.quantities import computed
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import AnyTable
 from aridcal.jobs.calibrate.gravity_direction import gravity_direction
 from aridcal.jobs.calibrate.groups import LEAST_SHARE, groups
-from aridcal.jobs.calibrate.job_inputs import CalibrationJob, looked_again, read_job
+from aridcal.jobs.calibrate.job_inputs import CalibrationJob, read_job, redetect_fiducials
 from aridcal.jobs.calibrate.limb_redundancies import limb_redundancies
-from aridcal.jobs.calibrate.measuring_head import lens_found, measuring_head
+from aridcal.jobs.calibrate.measuring_head import identified_lens, measuring_head
 from aridcal.jobs.calibrate.outcome import Outcome, Stage, Verification
-from aridcal.jobs.calibrate.tolerance_region import region, wanted
+from aridcal.jobs.calibrate.tolerance_region import region, requirement
 from aridcal.jobs.calibrate.verdict import Verdict, decide, row_clues
 from aridcal.jobs.head1992.observations import Detections
 from aridcal.system.errors import MeasurementError, NotOfThisRobot
@@ -130,12 +130,14 @@ def identify(
     if not isinstance(job, CalibrationJob):
         job = read_job(job, seed, progress, cache, verify is not None)
     # read before the work is done, so that a table of the campaign's own rows is refused at once
-    verification_rows = None if verify is None else other_day(job.campaign, job.robot, job.rows, verify)
+    verification_rows = None if verify is None else read_verification(job.campaign, job.robot, job.rows, verify)
     arm, where = _calibrated(job, choose, judge, progress)
-    lens = None if job.detections is None else lens_found(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
+    lens = (
+        None if job.detections is None else identified_lens(arm.geometry.geometric, arm.diagnosed.fit, job.detections)
+    )
     if lens is not None:
         progress("looking for the fiducials again, with the lens that was found")
-        job = looked_again(job, lens, progress)
+        job = redetect_fiducials(job, lens, progress)
         arm, where = _calibrated(job, choose, judge, progress)
     outcome = _outcome(job.campaign, job.robot, arm, where, job.still, job.detections, progress)
     if verification_rows is not None:
@@ -178,19 +180,19 @@ def _outcome(
     give_back()  # what the fits took: here and below the most memory is wanted
     rows, diagnosed = arm.rows, arm.diagnosed
     train = rows.fitted
-    judgement = judged(arm, progress)
+    judgement = judge_arm(arm, progress)
     stages, outlier, final = judgement.stages, judgement.outlier, judgement.stages[-1].fit
     inliers = rows.select(~outlier)
     traced = np.flatnonzero(~outlier)[stretches(inliers.sequence, TRACED_ROWS)]
     progress("fitting halves of the rows apart")
     look = second_look(stages[1].fit, diagnosed.fit, train, progress)
-    constants = asked_constants(campaign.question, robot, rows)
+    constants = constants_of_question(campaign.question, robot, rows)
     progress("working out how well the target is known")
     give_back()
     certain = certainty(
-        wanted(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
+        requirement(campaign), final, rows, constants, where, outlier, stages[-1].residual, judgement.repeats
     )
-    stages = with_instruments_found(stages, train)
+    stages = refit_with_final_instruments(stages, train)
     head = None if detections is None else measuring_head(final, stages[1].fit, rows, rows.train & ~outlier, detections)
     known_to = precision(final, train)
     give_back()
@@ -236,7 +238,7 @@ def _shared(rows: Dataset, final: Fit) -> Iterator[str]:
     if bodies > 1:
         yield ONE_BODY.format(bodies)
     elif rows.repeats.share < 1.0:
-        place = held_together(rows)
+        place = held_back_groups(rows)
         yield ONE_PLACE.format(len(rows), place.max() + 1, rows.repeats.share * len(rows))
 
 
@@ -255,7 +257,7 @@ def _searched(train: Dataset, inliers: int, campaign: Campaign, geometric: Fit) 
         yield f"whether what remains is noise was asked of {ASKED:,} of {inliers:,} rows, in {STRETCHES} stretches on end"
 
 
-def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
+def refit_with_final_instruments(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
     """The stages, the geometric constants refitted with the instruments of the final stage: they go into the URDF.
 
     The residual of the geometric stage stays that with the instruments as declared.
@@ -269,7 +271,7 @@ def with_instruments_found(stages: tuple[Stage, ...], train: Dataset) -> tuple[S
     return nominal, replace(geometric, fit=geometric_fit), final
 
 
-def judged(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
+def judge_arm(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
     """Fit every stage with the final model's flags, put all questions to the residuals, and decide on the verdict."""
     rows = arm.rows
     stages, outlier = _stages(rows, arm.geometry, arm.diagnosed.fit, progress)
@@ -280,7 +282,7 @@ def judged(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
     # Of several targets of one body one row counts: the others err like it, whatever the model.
     one_each = inliers, white
     if rows.repeats.share < 1.0:
-        first = np.unique(held_together(inliers), return_index=True)[1]
+        first = np.unique(held_back_groups(inliers), return_index=True)[1]
         one_each = inliers.select(first), white[first]
     answers = clues(*one_each, repeats(inliers, white), _freedom(final), final, progress)
     answers += row_clues(rows, final, residual, outlier)
@@ -301,7 +303,7 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
     """
     some = np.ones(len(rows), dtype=bool) if outlier.mean() >= LEAST_SHARE else ~outlier
     if rows.repeats.share < 1.0:
-        some = np.flatnonzero(some)[np.unique(held_together(rows.select(some)), return_index=True)[1]]
+        some = np.flatnonzero(some)[np.unique(held_back_groups(rows.select(some)), return_index=True)[1]]
     elif some.all():  # of many rows a copy counts
         return groups(rows, residual, final)
     return groups(rows.select(some), residual[some], final)
@@ -325,7 +327,7 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset) -> Size:
     """Size of a calibration, for the forecast of its memory."""
     question = campaign.question
     return Size(
-        coefficients=len(asked_constants(question, robot, rows)),
+        coefficients=len(constants_of_question(question, robot, rows)),
         stations=len(station_labels(question, rows)),
         rows=len(rows),
         searched=min(int(rows.train.sum()), SEARCHED) if question.sought else 0,
@@ -346,7 +348,7 @@ def _stages(rows: Dataset, geometry: Geometry, final: Fit, progress: Progress) -
             stage_fit = replace(
                 refit, candidates=stage_fit.candidates, redundant=stage_fit.redundant, convergence=convergence
             )
-        stage_fit = recentred(with_noise_seen(stage_fit, train, progress) if name == "final" else stage_fit)
+        stage_fit = recentred(with_contradicted_noise(stage_fit, train, progress) if name == "final" else stage_fit)
         same = bool(stages) and _alike(stages[-1].fit, stage_fit)
         residual = stages[-1].residual if same else problem(stage_fit.model, rows).residual(stage_fit.theta)
         stages.append(Stage(name, stage_fit, residual))
@@ -373,10 +375,10 @@ def score(outcome: Outcome, table: AnyTable) -> Verification:
     Raises:
         AridcalError: the table needs mending, or is the campaign's own.
     """
-    return _scored(outcome, *other_day(outcome.campaign, outcome.robot, outcome.measurements, table))
+    return _scored(outcome, *read_verification(outcome.campaign, outcome.robot, outcome.measurements, table))
 
 
-def other_day(campaign: Campaign, robot: Robot, campaign_rows: Dataset, table: AnyTable) -> tuple[Dataset, int]:
+def read_verification(campaign: Campaign, robot: Robot, campaign_rows: Dataset, table: AnyTable) -> tuple[Dataset, int]:
     """Read another day's rows.
 
     Args:

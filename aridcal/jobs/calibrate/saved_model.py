@@ -20,13 +20,13 @@ from aridcal.engine.corrections.sights import TARGET, Sights
 from aridcal.engine.instruments.kinds import KINDS, labelled
 from aridcal.engine.inverse.one_pose import Command, InverseKinematics
 from aridcal.engine.inverse.row_kinematics import OneRowModel
-from aridcal.engine.model.many_rows import few
+from aridcal.engine.model.many_rows import short_stretches
 from aridcal.engine.model.model import LabelledFrames, Model
 from aridcal.engine.robot.chain import Route, check_route, parse_robot, with_limbs
 from aridcal.engine.robot.drive import StatedJoints
 from aridcal.engine.robot.kinematics import carriers
 from aridcal.engine.trust.rival_predictions import Rival, with_rivals
-from aridcal.engine.trust.unobservable import with_untold
+from aridcal.engine.trust.unobservable import with_unobservable
 from aridcal.engine.trust.wander import Wander
 from aridcal.engine.trust.workspace import OpenCombination, target_std
 from aridcal.files.campaign import Campaign
@@ -43,9 +43,9 @@ from aridcal.jobs.calibrate.calibration_file import (
     read_calibration,
     rivals_document,
     rivals_of,
+    unobservable_combinations,
+    unobservable_document,
     unpacked,
-    untold_document,
-    untold_of,
 )
 from aridcal.system.errors import AridcalError, CampaignError, RobotError, nearest, shortened
 from aridcal.system.reading.user_names import check_path
@@ -96,7 +96,7 @@ class SolvedModel:
             MeasurementError: a row's station is none of those that were calibrated.
         """
         rows = self.model.rows(readings, covariates, station, target)
-        apart = [self.model.poses(self.theta, rows[some]) for some in few(len(rows))]
+        apart = [self.model.poses(self.theta, rows[some]) for some in short_stretches(len(rows))]
         return np.concatenate([R for R, _ in apart]), np.concatenate([p for _, p in apart])
 
     def std(
@@ -437,7 +437,7 @@ class SavedModel:
             "largest_std": dict(zip(("position", "rotation"), self.largest_std, strict=True)),
             "geometric": _solved_document(self.geometric),
             "final": _solved_document(self.final),
-            **({"untold": untold_document(self.untold)} if self.untold else {}),
+            **({"untold": unobservable_document(self.untold)} if self.untold else {}),
             **({"rivals": rivals_document(self.rivals)} if self.rivals else {}),
             **self.record,
         }
@@ -531,8 +531,8 @@ def _restored(document: CalibrationDocument, record: dict[str, Any]) -> SavedMod
         return solved_model
 
     geometric, final = solved(document.geometric), solved(document.final)
-    unobservable = untold_of(document)
-    _try(SolvedModel(*with_untold(final.model, final.theta, unobservable)), middle)
+    unobservable = unobservable_combinations(document)
+    _try(SolvedModel(*with_unobservable(final.model, final.theta, unobservable)), middle)
     rivals = rivals_of(document)
     _try(SolvedModel(*with_rivals(final.model, final.theta, rivals)), middle)
     dependencies = (*robot.readings, *final.model.needs)

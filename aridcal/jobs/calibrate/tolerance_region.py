@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal.engine.fit.least_squares import Fit
-from aridcal.engine.inverse.reachable import brought
+from aridcal.engine.inverse.reachable import readings_for_poses
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.certainty import Requirement
@@ -95,7 +95,7 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
             return p - places[rows]
 
         advice = f"take places out of {path} that it cannot reach"
-        return brought(robot, pose, miss, len(places), np.random.default_rng(0), str(campaign.path), advice)
+        return readings_for_poses(robot, pose, miss, len(places), np.random.default_rng(0), str(campaign.path), advice)
 
     readings = region_of_table(campaign, robot, path, reach)
     if len(readings) <= SAMPLES:
@@ -103,7 +103,7 @@ def region(campaign: Campaign, fit: Fit, train: Dataset) -> np.ndarray | None:
     return readings[np.linspace(0, len(readings) - 1, SAMPLES).round().astype(int)]
 
 
-def wanted(campaign: Campaign) -> Requirement:
+def requirement(campaign: Campaign) -> Requirement:
     """The point, tolerance and title of the region that a campaign names."""
     settings, tolerance = campaign.region, campaign.tolerance
     title = "the joint ranges named" if settings.file is None else f"the places of {settings.file.name}"

@@ -17,7 +17,7 @@ from aridcal.engine.instruments.channels import spread
 from aridcal.engine.levels import FEWEST_TOGETHER, SEVERAL
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.rows.split import held_together
+from aridcal.engine.rows.split import held_back_groups
 from aridcal.engine.search.loop import LEAST_FREEDOM
 from aridcal.engine.search.noise_tests import Clue
 
@@ -163,7 +163,7 @@ def _held_out(rows: Dataset, test: np.ndarray, fit: Fit, residual: np.ndarray, o
     those of normal noise, keeps heavy tails from being taken for a difference.
     """
     train = rows.train & ~outlier
-    configurations = len(np.unique(held_together(rows)[test]))
+    configurations = len(np.unique(held_back_groups(rows)[test]))
     if configurations < FEWEST_TOGETHER or fit.freedom <= 0:
         return None
     m = float(np.mean(np.sum(~np.isnan(residual[train]), axis=1)))
@@ -222,7 +222,7 @@ def _together(rows: Dataset, residual: np.ndarray, outlier: np.ndarray) -> Clue 
     share = float(squares[group.rows].sum() / squares.sum())
     return Clue(
         "flags",
-        f"{group.rows.sum()} of {outlier.sum()} flagged rows lie together: {where(group)}",
+        f"{group.rows.sum()} of {outlier.sum()} flagged rows lie together: {cluster_in_words(group)}",
         share,
         group.p_value,
     )
@@ -234,7 +234,7 @@ def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
     return np.asarray(np.nansum(residual**2 / np.maximum(usual, FLOOR**2), axis=1))
 
 
-def where(group: Cluster) -> str:
+def cluster_in_words(group: Cluster) -> str:
     """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
     if group.coordinate == MEASURED:
         return "where the same is measured"

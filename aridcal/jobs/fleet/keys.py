@@ -48,10 +48,10 @@ def inputs_of(campaign: Campaign) -> Inputs:
         whole.update(f"\n{place} ".encode())
         whole.update(_of_file(path))
     inputs = whole.hexdigest()
-    return Inputs(of_version(inputs), inputs, _of_file(campaign.robot.urdf).hex())
+    return Inputs(key_of_version(inputs), inputs, _of_file(campaign.robot.urdf).hex())
 
 
-def of_version(inputs: str) -> str:
+def key_of_version(inputs: str) -> str:
     """The key of inputs, read by this version."""
     return hashlib.sha256(f"{inputs} {__version__}".encode()).hexdigest()
 
@@ -59,7 +59,7 @@ def of_version(inputs: str) -> str:
 def inputs_of_text(path: Path) -> Inputs:
     """The same of a campaign that cannot be read: of its own contents alone."""
     inputs = _of_file(path).hex()
-    return Inputs(of_version(inputs), inputs, "")
+    return Inputs(key_of_version(inputs), inputs, "")
 
 
 def files_of(campaign: Campaign) -> Iterator[tuple[str, Path]]:

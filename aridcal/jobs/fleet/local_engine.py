@@ -40,7 +40,7 @@ class Engine(Protocol):
         """
 
 
-def here(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
+def run_tasks(work: Callable[[T], R], tasks: Mapping[str, T]) -> Iterator[tuple[str, R | WorkFailure]]:
     """Do one task after another in this process."""
     for name, task in tasks.items():
         try:

@@ -73,7 +73,7 @@ class _Number:
     logarithmic: bool
 
 
-def standing_out(rows: Sequence[Row]) -> tuple[list[OutlyingFigure], int]:
+def outlying_robots(rows: Sequence[Row]) -> tuple[list[OutlyingFigure], int]:
     """Robots that stand out, the farthest first.
 
     Args:

@@ -63,7 +63,7 @@ def now() -> datetime.datetime:
     return time.replace(microsecond=time.microsecond // 1000 * 1000)
 
 
-def measured_at(campaign: Campaign | None, run: datetime.datetime) -> datetime.datetime:
+def measurement_time(campaign: Campaign | None, run: datetime.datetime) -> datetime.datetime:
     """When the rows were measured, as far as the campaign says so in digits; else when they were computed."""
     stated = campaign.about.date if campaign is not None and campaign.about is not None else None
     try:
@@ -117,7 +117,7 @@ def _row(robot: str, path: Path, inputs: Inputs, campaign: Campaign | None) -> R
         "inputs": inputs.inputs,
         "urdf": inputs.urdf,
         "time": time.isoformat(),
-        "measured": measured_at(campaign, time).isoformat(),
+        "measured": measurement_time(campaign, time).isoformat(),
         "version": __version__,
         "status": DONE,
         "error": None,
@@ -181,7 +181,7 @@ def as_text(row: Row) -> str:
     return json.dumps(row, indent=1, allow_nan=False) + "\n"
 
 
-def row_in(folder: Path) -> Row | None:
+def row_of_folder(folder: Path) -> Row | None:
     """The row of a result folder; None where there is none that can be read, or no result beside it."""
     if not all((folder / name).is_file() for name in ("result.json", "calibration.yaml", FILE)):
         return None

@@ -131,7 +131,7 @@ def _point(rows: Sequence[Row]) -> CaseFigures | None:
     )
 
 
-def found_again(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
+def recurrent_effects(rows: Sequence[Row]) -> list[tuple[str, Estimate]]:
     """Each effect that some run found, and the share of runs that did, most first."""
     done = [row for row in rows if row["status"] == DONE]
     count: dict[str, int] = {}

@@ -13,7 +13,7 @@ import pyarrow.parquet
 from aridcal.jobs.fleet.local_engine import Engine, EngineGone, WorkFailure
 from aridcal.jobs.fleet.run_record import DONE, FAILED, Row
 from aridcal.jobs.fleet.runs import SAVE_EVERY
-from aridcal.jobs.fleet.trials import Trial, tried
+from aridcal.jobs.fleet.trials import Trial, run_trial
 from aridcal.system.errors import OutputError
 from aridcal.system.progress import Progress
 from aridcal.system.writing.whole_files import atomic_file
@@ -48,7 +48,7 @@ class StudyResult:
     gone: str
 
 
-def known_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
+def earlier_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
     """Runs of a study that an earlier table has, by their keys.
 
     Raises:
@@ -92,7 +92,7 @@ def studied(
     saved = time.monotonic()
     gone, done = "", 0
     try:
-        for name, answer in engine(tried, waiting):
+        for name, answer in engine(run_trial, waiting):
             trial = waiting[name]
             if isinstance(answer, WorkFailure):
                 case = {"rows": trial.case.rows or None, "size": trial.case.size, "run": trial.run, "seed": trial.seed}

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from aridcal.engine.instruments.camera import carried
+from aridcal.engine.instruments.camera import square_motion
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.tables import Table
@@ -281,7 +281,7 @@ def tip_pose(sighting: Sighting, T_world_square: np.ndarray, T_tip_camera: np.nd
         T_world_tip, shape (4, 4), and its covariance, position and rotation vector in world axes, shape (6, 6).
     """
     T_square_tip = np.linalg.inv(T_tip_camera @ sighting.pose.T_camera_square)
-    J = carried(T_world_square[None, :3, :3], T_square_tip[None, :3, 3])[0]
+    J = square_motion(T_world_square[None, :3, :3], T_square_tip[None, :3, 3])[0]
     return T_world_square @ T_square_tip, J @ sighting.pose.covariance @ J.T
 
 

@@ -135,7 +135,7 @@ def causes(of: Difference, moved: Mapping[str, float] | None = None) -> Causes:
     return Causes(tuple(causes_found), of.p_of(float(residual @ residual), len(of.z) - _width(chosen)))
 
 
-def untold_zeros(of: Difference) -> tuple[str, ...]:
+def unobservable_zeros(of: Difference) -> tuple[str, ...]:
     """Joints, with their limbs, of which a zero that moved looks like a base or a tool that was set up anew."""
     residual = across(of.free, np.column_stack([column.moves for column in of.columns]))
     return tuple(

@@ -20,7 +20,7 @@ from scipy.stats import qmc
 from aridcal.engine.corrections.effect import ROW_ORDER
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.hypotheses import widened
-from aridcal.system.errors import AridcalError, listed
+from aridcal.system.errors import AridcalError, name_list
 
 CONFIGURATIONS = 256
 """Drawn over the joints' common ranges, a power of two for Sobol's sequence: four times the numbers of the largest models."""
@@ -60,7 +60,7 @@ class BothPoses:
     notices: tuple[str, ...]
 
 
-def seen_by_both(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> BothPoses:
+def common_poses(a: SavedModel, b: SavedModel, moved: Mapping[str, float]) -> BothPoses:
     """The poses of two calibrations of one arm.
 
     Args:
@@ -101,7 +101,8 @@ def _targets(a: SavedModel, b: SavedModel) -> tuple[str, ...]:
     first, other = ([label for label, _ in saved.final.model.tip_target if label is not None] for saved in (a, b))
     if first and other and not set(first) & set(other):
         raise AridcalError(
-            f"the calibrations have no target in common: one has {listed(first)}, the other {listed(other)}. Call what is on one "
+            f"the calibrations have no target in common: one has {name_list(first)}, the other {name_list(other)}. Call what "
+            f"is on one "
             "link alike in both"
         )
     return tuple(label for label in first if label in other)
@@ -118,8 +119,8 @@ def _check_same_arm(a: SavedModel, b: SavedModel) -> None:
     first, second = a.final.model.robot, b.final.model.robot
     if first.readings != second.readings or tuple(first.kinds) != tuple(second.kinds):
         raise AridcalError(
-            f"the calibrations are not of the same arm: one has the joints {listed(first.readings)}, the other "
-            f"{listed(second.readings)}. Name two calibrations of one robot"
+            f"the calibrations are not of the same arm: one has the joints {name_list(first.readings)}, the other "
+            f"{name_list(second.readings)}. Name two calibrations of one robot"
         )
 
 

@@ -48,10 +48,10 @@ from aridcal.engine.fit.normal_equations import across, pseudo_inverse
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.history.compared_poses import OVER_TIME, seen_by_both
+from aridcal.jobs.history.compared_poses import OVER_TIME, common_poses
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
 from aridcal.jobs.maintain.repair import unit_of
-from aridcal.system.wording import counted
+from aridcal.system.wording import plural
 
 LEAST_DIFFERENCE = 1e-7
 """[m] and [rad]: what is no difference for anybody, RMS over the configurations: rounding is smaller."""
@@ -191,7 +191,7 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
     Raises:
         AridcalError: they are not of the same joints, or saw none of the same configurations.
     """
-    both = seen_by_both(a, b, moved or {})
+    both = common_poses(a, b, moved or {})
     noise = [a.scatter[0], b.scatter[0]]
     sigma = np.repeat([max(LEAST_DIFFERENCE, *(n[k] for n in noise)) for k in range(1 + both.turns)], 3)
     per_sigma = np.tile(1.0 / sigma, len(both.readings))[:, None]
@@ -211,7 +211,7 @@ def difference(a: SavedModel, b: SavedModel, moved: Mapping[str, float] | None =
         unknown.append(constants)
         covariances[side] *= times
         if constants.shape[1]:
-            notices.append(UNKNOWN_NOTICE.format(("first", "second")[side], counted(constants.shape[1], "constant")))
+            notices.append(UNKNOWN_NOTICE.format(("first", "second")[side], plural(constants.shape[1], "constant")))
     return Difference(
         columns=columns,
         covariance=covariances[0] + covariances[1],

@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet
 
-from aridcal.system.errors import AridcalError, listed, shortened
+from aridcal.system.errors import AridcalError, name_list, shortened
 from aridcal.system.reading.regular_files import RESULT, read_file
 from aridcal.system.reading.user_names import check_path
 
@@ -173,7 +173,9 @@ def _table(file: Path) -> pa.Table:
         stored = pyarrow.parquet.ParquetFile(pa.BufferReader(content))
         missing = sorted(COLUMNS - set(stored.schema_arrow.names))
         if missing:
-            raise AridcalError(f"{file}: is no table of a fleet: it lacks {listed(missing)}. Run `aridcal fleet` again")
+            raise AridcalError(
+                f"{file}: is no table of a fleet: it lacks {name_list(missing)}. Run `aridcal fleet` again"
+            )
         table = stored.read(sorted(COLUMNS))
     except (pa.ArrowException, OSError) as problem:
         reason = shortened(str(problem), 200)

@@ -64,7 +64,7 @@ class DecidingConfiguration:
     joints: tuple[str, ...]
 
 
-def telling(
+def deciding_configurations(
     saved: SavedModel,
     unknowns: WideModel,
     question: NewRowsQuestion,

@@ -8,12 +8,12 @@ import numpy as np
 
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
-from aridcal.jobs.calibrate.outcome import said
+from aridcal.jobs.calibrate.outcome import rms_in_words
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds
 from aridcal.jobs.maintain.checking import Cause, CheckResult
 from aridcal.jobs.maintain.repair import RepairChange
 from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
-from aridcal.system.wording import enumerated
+from aridcal.system.wording import enumeration
 
 LARGEST_ZERO_CHANGE = 0.03
 """[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
@@ -40,10 +40,12 @@ def check_lines(checked: CheckResult, changes: Sequence[RepairChange], settings:
         )
         if measured
     )
-    remainder = f"{len(rows)} rows: {said(checked.residual, all_rows, rows)} RMS where the noise is {expected} per axis"
+    remainder = (
+        f"{len(rows)} rows: {rms_in_words(checked.residual, all_rows, rows)} RMS where the noise is {expected} per axis"
+    )
     lines = [*_heat_line(checked), _verdict(checked), remainder if error is None else f"{remainder}; {_error(error)}"]
     if checked.unseen:
-        lines.append(f"not seen by these rows, whatever moved: {enumerated([s.words for s in checked.unseen])}")
+        lines.append(f"not seen by these rows, whatever moved: {enumeration([s.words for s in checked.unseen])}")
     for change in changes:
         if change.cause.kind == "new":
             lines.append(f"fitted anew: {change.cause.words}, {amount(change, checked)} from where it was")
@@ -58,15 +60,16 @@ def check_lines(checked: CheckResult, changes: Sequence[RepairChange], settings:
     return lines
 
 
-def left_out_line(outcomes: RepairOutcomes) -> str:
+def repair_error_line(outcomes: RepairOutcomes) -> str:
     """Errors of the new rows before and after the repair, and of each row with the repair fitted to the others alone."""
     m = outcomes.rows.measurements
     every = ~outcomes.rows.outlier & ~m.test
     after = outcomes.rows.stage("final").residual
     before, repaired, without_row = (
-        said(residual, every, m) for residual in (outcomes.rows.stage("before").residual, after, outcomes.left_out)
+        rms_in_words(residual, every, m)
+        for residual in (outcomes.rows.stage("before").residual, after, outcomes.left_out)
     )
-    held_out = f"; {said(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
+    held_out = f"; {rms_in_words(after, m.test, m)} on {int(m.test.sum())} held-out rows" if m.test.any() else ""
     return f"error of the new rows: {before} before, {repaired} after, {without_row} where each is left out{held_out}"
 
 
@@ -133,7 +136,7 @@ def _cause_lines(
             what = "this" if checked.rows.direct else "the target's place here"
             lines.append(f"  measure {what} to tell it from {configuration.suspect}: {at}")
             if configuration.joints:
-                lines.append(f"  (it has {enumerated(configuration.joints)} where these rows do not reach)")
+                lines.append(f"  (it has {enumeration(configuration.joints)} where these rows do not reach)")
     return lines
 
 

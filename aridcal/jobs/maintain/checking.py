@@ -15,12 +15,20 @@ from aridcal.engine.trust.coverage import ASIDE, EXPANSION, beyond_heat
 from aridcal.engine.trust.wander import WanderProcesses, wandering
 from aridcal.files.campaign import Frames
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
-from aridcal.jobs.maintain.ambiguity import DecidingConfiguration, alike, telling
+from aridcal.jobs.maintain.ambiguity import DecidingConfiguration, alike, deciding_configurations
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS, Bounds, error_of
 from aridcal.jobs.maintain.hypotheses import Hypothesis, suspects, widened
-from aridcal.jobs.maintain.likelihoods import NOISE_FACTORS, Alarm, NewRowsQuestion, alarm, evidence, likely, taken_up
-from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, known_noise
-from aridcal.jobs.maintain.unknowns import WideModel, wide_of
+from aridcal.jobs.maintain.likelihoods import (
+    NOISE_FACTORS,
+    Alarm,
+    NewRowsQuestion,
+    alarm,
+    evidence,
+    likely,
+    rank_of_unknowns,
+)
+from aridcal.jobs.maintain.new_rows import NewRowNoise, freedom_of, new_row_noise
+from aridcal.jobs.maintain.unknowns import WideModel, wide_model
 from aridcal.system.errors import MeasurementError
 
 MOST_CAUSES = 4
@@ -130,7 +138,7 @@ class CheckResult:
         return self.error.low <= self.tolerance
 
 
-def asked(
+def new_rows_question(
     wide: SolvedModel,
     rows: Dataset,
     noise: NewRowNoise,
@@ -181,13 +189,13 @@ def check(
         MeasurementError: a row's station is none of those that were calibrated, nothing can be said of a tolerance, or rows
             cannot tell where something is that nobody knows.
     """
-    noise = known_noise(saved, rows, new_instrument=frames is not None)
+    noise = new_row_noise(saved, rows, new_instrument=frames is not None)
     rows = replace(rows, covariates=saved.completed(rows.covariates, len(rows)))
-    unknowns = wide_of(widened(saved.doubted), rows, frames)
+    unknowns = wide_model(widened(saved.doubted), rows, frames)
     wide = unknowns.solved
     shared = wandering(saved.wanders, wide.model.robot, rows.readings, saved.ranges) if saved.wanders else None
-    start = question = asked(wide, rows, noise, unknowns.unknown, shared)
-    visible, unseen = seen_by(start, suspects(wide, rows, unknowns.new))
+    start = question = new_rows_question(wide, rows, noise, unknowns.unknown, shared)
+    visible, unseen = visible_hypotheses(start, suspects(wide, rows, unknowns.new))
     first = rest = alarm(question, visible)
     causes: list[Cause] = []
     remaining = list(visible)
@@ -197,7 +205,7 @@ def check(
         remaining = [s for s in remaining if s is not cause.suspect]
         rest = alarm(question, remaining)
     residual = start.problem.residual(with_unknowns(start))
-    taken = taken_up(start.at(wide.theta)[1][:, unknowns.unknown])
+    taken = rank_of_unknowns(start.at(wide.theta)[1][:, unknowns.unknown])
     error = error_of(rows, residual, noise.sigma, ~start.dropped, taken)
     if tolerance is not None and error is None:
         raise MeasurementError(
@@ -241,7 +249,7 @@ def with_unknowns(question: NewRowsQuestion) -> np.ndarray:
     return likely(replace(question, covariance=np.diag(free))).theta
 
 
-def seen_by(
+def visible_hypotheses(
     question: NewRowsQuestion, suspects_asked: Sequence[Hypothesis]
 ) -> tuple[tuple[Hypothesis, ...], tuple[Hypothesis, ...]]:
     """Suspects that rows can show, and those that unknowns hide: the base, say, where the points around it are unknown."""
@@ -249,8 +257,8 @@ def seen_by(
         return tuple(suspects_asked), ()
     _, J = question.at(question.theta)
     U = J[:, question.unknown]
-    before = taken_up(U)
-    visible = [taken_up(np.hstack([U, J @ suspect.directions])) > before for suspect in suspects_asked]
+    before = rank_of_unknowns(U)
+    visible = [rank_of_unknowns(np.hstack([U, J @ suspect.directions])) > before for suspect in suspects_asked]
     return (
         tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if seen),
         tuple(s for s, seen in zip(suspects_asked, visible, strict=True) if not seen),
@@ -302,5 +310,5 @@ def _next(
     if cause.suspect is None:
         return cause, freed
     others = alike(freed, cause.suspect, question, suspects_left)
-    configurations = telling(saved, unknowns, freed, others)
+    configurations = deciding_configurations(saved, unknowns, freed, others)
     return replace(cause, alike=tuple(s.words for s, _ in others), telling=configurations), freed

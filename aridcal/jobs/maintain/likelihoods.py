@@ -330,7 +330,7 @@ def _alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     """The test with the mean covariance of what rows share."""
     place = likely(question)
     z = place.whitened(place.r, question.times)
-    squares, numbers = float(z @ z), max(len(z) - taken_up(place.J[:, question.unknown]), 1)
+    squares, numbers = float(z @ z), max(len(z) - rank_of_unknowns(place.J[:, question.unknown]), 1)
     smallest = tail(squares, numbers, question.freedom)
     for suspect in suspects:
         squares_along, count = _squares_along(place.whitened(place.J @ suspect.directions, question.times), z)
@@ -339,7 +339,7 @@ def _alarm(question: NewRowsQuestion, suspects: Sequence[Hypothesis]) -> Alarm:
     return Alarm(min(1.0, 2.0 * smallest), squares, numbers)
 
 
-def taken_up(columns: np.ndarray) -> int:
+def rank_of_unknowns(columns: np.ndarray) -> int:
     """Rank of the columns of unknowns, shape (n, u): so many numbers they fit whatever was measured."""
     sizes = np.linalg.norm(columns, axis=0)
     shaped = columns[:, sizes > 0.0] / sizes[sizes > 0.0]

@@ -22,11 +22,11 @@ from aridcal.files.counting import check_joints
 from aridcal.files.instrument_settings import InstrumentSettings
 from aridcal.files.orientations import column_of
 from aridcal.files.quantities import POSITION
-from aridcal.files.read import ONE_TARGET, load_measurements, own_target
+from aridcal.files.read import ONE_TARGET, default_target, load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.saved_model import SavedModel
-from aridcal.system.errors import CampaignError, MeasurementError, listed
+from aridcal.system.errors import CampaignError, MeasurementError, name_list
 from aridcal.system.reading.user_names import check_path
 
 FEWEST_NEW_ROWS = 3
@@ -146,7 +146,7 @@ def _refuse_unknown_labels(saved: SavedModel, rows: Dataset) -> None:
     if strangers:
         what = f"station {strangers[0]!r} is none" if strangers[0] else "the rows' `station` is none"
         raise MeasurementError(
-            f"{rows.title}: {what} of those by which the calibration's constants vary ({listed(allowed)}), and what it "
+            f"{rows.title}: {what} of those by which the calibration's constants vary ({name_list(allowed)}), and what it "
             "deviates by is not known; take rows of these, or calibrate again with rows of all"
         )
 
@@ -223,10 +223,10 @@ def _with_targets(saved: SavedModel, rows: Dataset, new_instrument: bool) -> Dat
     """
     labels = [label for label, _ in saved.final.model.tip_target]
     if rows.labels.target is None and not rows.direct and new_instrument:
-        names = [own_target(b.traits, b.name) for b in rows.blocks]
+        names = [default_target(b.traits, b.name) for b in rows.blocks]
         rows = rows.with_labels(target=np.array(names)[rows.labels.block])
     if rows.labels.target is None and saved.frames_by != "station":
-        several = listed([str(label) for label in labels])
+        several = name_list([str(label) for label in labels])
         raise MeasurementError(
             f"{rows.title}: the calibration has several targets ({several}); add a column `target` that says which each row is of"
         )
@@ -252,7 +252,7 @@ def _plain(rows: Dataset) -> Dataset:
     return rows
 
 
-def known_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> NewRowNoise:
+def new_row_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False) -> NewRowNoise:
     """Noise of new rows: what they or their own campaign state, else what the calibration's rows of that kind scattered by.
 
     Args:

@@ -16,7 +16,7 @@ from aridcal.jobs.maintain.checking import Cause, CheckResult
 from aridcal.jobs.maintain.hypotheses import Hypothesis, widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
 from aridcal.jobs.maintain.unknowns import Place, WideModel
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ def unit_of(model: Model, k: int) -> str:
     return "m" if c.component in ("x", "y", "z", "t1", "t2", "a", "d") else "rad"
 
 
-def repaired(saved: SavedModel, checked: CheckResult) -> Repair:
+def repair_calibration(saved: SavedModel, checked: CheckResult) -> Repair:
     """The calibration with what moved fitted to the new rows.
 
     Args:
@@ -143,7 +143,7 @@ def repaired(saved: SavedModel, checked: CheckResult) -> Repair:
         if cause.telling and cause.probability < REPAIR_PROBABILITY:
             raise MeasurementError(
                 f"{where}: these rows cannot tell {cause.words} (probability {100 * cause.probability:.0f} %) from "
-                f"{listed(cause.alike)}, and the wrong repair would be wrong elsewhere; measure what would tell, too: "
+                f"{name_list(cause.alike)}, and the wrong repair would be wrong elsewhere; measure what would tell, too: "
                 "`aridcal check RESULTS ROWS --poses poses.csv` writes it"
             )
     solution = likely(checked.question)

@@ -13,7 +13,7 @@ FOLDS = 20
 """Parts of the rows that are left out in turn: single rows up to 20 of them; more parts only take longer."""
 
 
-def left_out(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
+def left_out_residuals(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     """Residuals of the rows with what moved fitted to the others alone, shape (N, m).
 
     What moved was named with all rows: this is the error of its size, not of its name. NaN for rows that did not count, and for

@@ -29,12 +29,12 @@ from aridcal.jobs.calibrate.outcome import Outcome, Stage
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
-from aridcal.jobs.maintain.checking import CheckResult, asked, with_unknowns
+from aridcal.jobs.maintain.checking import CheckResult, new_rows_question, with_unknowns
 from aridcal.jobs.maintain.hypotheses import widened
 from aridcal.jobs.maintain.likelihoods import covariance_of, likely
 from aridcal.jobs.maintain.repair import Repair
-from aridcal.jobs.maintain.repair_error import left_out
-from aridcal.jobs.maintain.unknowns import wide_of
+from aridcal.jobs.maintain.repair_error import left_out_residuals
+from aridcal.jobs.maintain.unknowns import wide_model
 from aridcal.system.errors import CampaignError
 
 CONFIGURATIONS_PREDICTED = 400
@@ -48,7 +48,7 @@ class RepairOutcomes:
     Attributes:
         rows: The new rows against the nominal robot, the calibration ``before``, the repaired geometry and the repaired model.
         model: The repaired model's own predictions, where it was calibrated, against nominal, geometric and final stage.
-        left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out`.
+        left_out: Residuals with what moved fitted to the other rows, shape (N, m); see :func:`left_out_residuals`.
     """
 
     rows: Outcome
@@ -81,7 +81,7 @@ def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repair) -> 
     )
     noise = checked.question.times * checked.noise.sigma
     final = SolvedModel(checked.wide.model, solution.theta, covariance_of(checked.question, solution))
-    start = asked(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
+    start = new_rows_question(checked.wide, checked.rows, checked.noise, checked.unknowns.unknown)
     old = SolvedModel(checked.wide.model, with_unknowns(start), checked.wide.covariance)
     of_rows = (
         *(
@@ -107,7 +107,7 @@ def repair_outcomes(saved: SavedModel, checked: CheckResult, repair: Repair) -> 
         model=_outcome(
             saved.campaign, predicted, of_model, np.zeros(CONFIGURATIONS_PREDICTED, dtype=bool), sigma, verdict
         ),
-        left_out=left_out(checked, solution.theta),
+        left_out=left_out_residuals(checked, solution.theta),
     )
 
 
@@ -209,8 +209,8 @@ def _frame_coefficients(model: Model) -> tuple[Coefficient, ...]:
 
 def _beside(name: str, solved: SolvedModel, checked: CheckResult, constants_set: str) -> Stage:
     """A stage with the residuals of the new rows, their unknowns fitted to them."""
-    wide = wide_of(widened(solved), checked.rows)
-    question = asked(wide.solved, checked.rows, checked.noise, wide.unknown)
+    wide = wide_model(widened(solved), checked.rows)
+    question = new_rows_question(wide.solved, checked.rows, checked.noise, wide.unknown)
     theta = with_unknowns(question)
     arm = _without_zeros(SolvedModel(wide.solved.model, theta, wide.solved.covariance))
     return Stage(name, *_fit(question.problem, arm, checked.noise.sigma, constants_set))

@@ -21,7 +21,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.jobs.merge.clocks import Clocks
 from aridcal.jobs.merge.log import Log
-from aridcal.jobs.merge.pairs import Pairs, within
+from aridcal.jobs.merge.pairs import Pairs, window_samples
 from aridcal.system.errors import MeasurementError
 
 MOST_SAMPLES_PER_MOVE = 60
@@ -88,7 +88,7 @@ class Moves:
     weight: np.ndarray
 
 
-def placed(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[TrackerAlignment, np.ndarray]:
+def align_frames(robot: Robot, q: np.ndarray, m: np.ndarray) -> tuple[TrackerAlignment, np.ndarray]:
     """Frames that bring the nominal robot's targets to the measured ones.
 
     Args:
@@ -127,7 +127,7 @@ def window_means(log: Log, values: np.ndarray, begin: np.ndarray, end: np.ndarra
     return np.array(
         [
             values[rows].mean(axis=0) if rows.stop > rows.start else values[min(rows.start, len(values) - 1)]
-            for rows in (within(log.time, a, b) for a, b in zip(begin, end, strict=True))
+            for rows in (window_samples(log.time, a, b) for a, b in zip(begin, end, strict=True))
         ]
     )
 
@@ -150,7 +150,7 @@ def improved(
         MeasurementError: too few moves tell anything.
     """
     begin, end = clocks.joints(standstills.begin), clocks.joints(standstills.end)
-    frames, residual = placed(
+    frames, residual = align_frames(
         robot, window_means(joints, q, begin, end), window_means(tracker, m, standstills.begin, standstills.end)
     )
     rows, share, move = _samples(tracker, standstills)
@@ -188,7 +188,7 @@ def _samples(tracker: Log, standstills: Pairs) -> tuple[np.ndarray, np.ndarray, 
     """Samples between standstills, :data:`MOST_SAMPLES_PER_MOVE` a move: indices, share of its time, and index of the move."""
     rows, share, move = [], [], []
     for k in range(len(standstills) - 1):
-        between = within(tracker.time, standstills.end[k], standstills.begin[k + 1])
+        between = window_samples(tracker.time, standstills.end[k], standstills.begin[k + 1])
         lasts = standstills.begin[k + 1] - standstills.end[k]
         count = between.stop - between.start
         if count > 0 and lasts < LONGEST_MOVE:

@@ -56,7 +56,7 @@ class ImageRows:
     notices: tuple[str, ...]
 
 
-def pictured(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> ImageRows:
+def choose_images(robot: Robot, joints: JointLog, camera: BagCamera, load: Load) -> ImageRows:
     """Choose an image for each standstill of the joints.
 
     Raises:

@@ -11,13 +11,13 @@ from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
 from aridcal.files.quantities import TURNS
 from aridcal.files.tables import AnyTable, Table, path_of, read_tables
 from aridcal.jobs.merge.log import Log, in_order
-from aridcal.jobs.merge.other_columns import OtherColumns, others_of
-from aridcal.jobs.prepare.column_names import match_joints, named, positions, unit
+from aridcal.jobs.merge.other_columns import OtherColumns, other_columns
+from aridcal.jobs.prepare.column_names import match_joints, named_column, positions, unit
 from aridcal.jobs.prepare.condition_columns import COVARIATES, EPOCH
 from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.jobs.prepare.orientation_columns import sensible
 from aridcal.jobs.prepare.table_formats import dialects_of
-from aridcal.system.errors import MeasurementError, listed
+from aridcal.system.errors import MeasurementError, name_list
 
 LOG_RATES = (0.5, 2000.0)
 """Lowest and highest rate of a log, samples a second: slower ones miss whole moves, faster ones no instrument writes."""
@@ -91,7 +91,8 @@ def joint_log(source: AnyTable, robot: Robot, asker: Chooser) -> JointLog:
     if match is None:
         lacking = [joint for joint in robot.readings if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name the joints' "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {name_list(names)}. Name the "
+            f"joints' "
             "columns as in the URDF, or number them q1, q2, … along the chain"
         )
     columns = [match[0][joint] for joint in robot.readings]
@@ -100,7 +101,7 @@ def joint_log(source: AnyTable, robot: Robot, asker: Chooser) -> JointLog:
     notes = (
         (f"{table.title}: joints by their ORDER along the chain: {', '.join(columns)}",) if match[1] == "order" else ()
     )
-    others = others_of(table, seconds, {*columns, clock}, len(columns))
+    others = other_columns(table, seconds, {*columns, clock}, len(columns))
     return JointLog(
         Log(log.title, log.time, log.columns, log.values, (*notes, *log.notes)), _units(log, columns, robot), others
     )
@@ -118,11 +119,11 @@ def tracker_log(source: AnyTable, robot: Robot, asker: Chooser) -> TrackerLog:
     places = [family.columns for family in positions(names) if np.isfinite(sensible(table, family.columns)).any()]
     if not places:
         raise MeasurementError(
-            f"{table.title}: no columns for the target's position; call them x, y and z. Its columns are {listed(names)}"
+            f"{table.title}: no columns for the target's position; call them x, y and z. Its columns are {name_list(names)}"
         )
     columns = tuple(name for name in names if np.isfinite(table.numbers(name)[0]).any())
     log = Log(table.title, seconds, columns, sensible(table, columns))
-    others = others_of(table, seconds, {*robot.readings, clock}, len(robot.readings))
+    others = other_columns(table, seconds, {*robot.readings, clock}, len(robot.readings))
     return TrackerLog(_complete(log, table, places[0]), tuple(places), others)
 
 
@@ -161,10 +162,10 @@ def _clock(table: Table, dates: str | None, asker: Chooser, which: str) -> tuple
     if dates is not None and dates in table.cells:
         return dates, table.numbers(dates)[0]
     spellings = next(words for quantity, _, words in COVARIATES if quantity == "time")
-    column = named(table.names, *spellings)
+    column = named_column(table.names, *spellings)
     if column is None:
         raise MeasurementError(
-            f"{table.title}: no column for the time of each sample; call it `time`. Its columns are {listed(table.names)}"
+            f"{table.title}: no column for the time of each sample; call it `time`. Its columns are {name_list(table.names)}"
         )
     values = table.numbers(column)[0]
     by_name = unit(column)

@@ -12,15 +12,15 @@ from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.orientations import QUATERNION
 from aridcal.files.quantities import POSITION, STD
 from aridcal.files.yaml_file import FINEST
-from aridcal.jobs.merge.alignment import Moves, improved, jump, placed, window_means
+from aridcal.jobs.merge.alignment import Moves, align_frames, improved, jump, window_means
 from aridcal.jobs.merge.averages import Averages, averages, without_spikes
 from aridcal.jobs.merge.clocks import MOST_DRIFT, Clocks
-from aridcal.jobs.merge.log import Log, seen
+from aridcal.jobs.merge.log import Log, without_blind_samples
 from aridcal.jobs.merge.log_files import JointLog, TrackerLog
 from aridcal.jobs.merge.offsets import FEWEST_STANDSTILLS, best_offset, too_few
-from aridcal.jobs.merge.other_columns import carried
+from aridcal.jobs.merge.other_columns import window_values
 from aridcal.jobs.merge.pairs import FEWEST_SAMPLES as FEWEST_SAMPLES
-from aridcal.jobs.merge.pairs import Pairs, pairs, settled, within
+from aridcal.jobs.merge.pairs import Pairs, pairs, settled, window_samples
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.jobs.merge.tracker_format import TrackerRows, in_si, tracked
 from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE
@@ -111,7 +111,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser)
         AridcalError: the logs cannot be joined; saying why, and what to do.
     """
     place = _moving_place(measured.log, measured.places)
-    tracker = seen(measured.log, place)
+    tracker = without_blind_samples(measured.log, place)
     raw = tracker.of(place)
     tracker_still = standstills(tracker, raw)
     best, units = best_offset(robot, joints, tracker, raw, tracker_still, _still(joints))
@@ -149,10 +149,10 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser)
     if len(paired) < FEWEST_STANDSTILLS:
         raise too_few(joints.log, si.log, len(paired))
     mean = window_means(joints.log, q, clocks.joints(paired.begin), clocks.joints(paired.end))
-    windows = [within(si.log.time, a, b) for a, b in zip(paired.begin, paired.end, strict=True)]
+    windows = [window_samples(si.log.time, a, b) for a, b in zip(paired.begin, paired.end, strict=True)]
     samples, spikes = without_spikes(windows, si.position, si.steps[:3])
     average = averages(samples, si.position, si.quaternion, si.steps)
-    _, residual = placed(robot, mean, average.position)
+    _, residual = align_frames(robot, mean, average.position)
     _refuse_strange(residual, average.position, clocks.joints(0.5 * (paired.begin + paired.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (paired.begin + paired.end)))
     own_columns = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
@@ -160,7 +160,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser)
         "joints": (joints.others, clocks.joints(paired.begin), clocks.joints(paired.end)),
         "tracker": (measured.others, paired.begin, paired.end),
     }
-    columns, remarks = carried(windows_of, own_columns)
+    columns, remarks = window_values(windows_of, own_columns)
     table = table.assign(**columns)
     spike_notes = (
         [f"{si.log.title}: {spikes} samples at standstill far from their neighbours: left out"] if spikes else []
@@ -260,7 +260,7 @@ def _unpaired(
     unpaired = []
     for k in sorted(set(range(len(still))) - set(paired.joints.tolist())):
         a, b = (float(clocks.tracker(np.array([t]))[0]) for t in (still.begin[k], still.end[k]))
-        rows = within(tracker.time, a, b)
+        rows = window_samples(tracker.time, a, b)
         if b < tracker.time[0] or a > tracker.time[-1]:
             why = "before or after the tracker's log"
         elif rows.stop - rows.start < max(FEWEST_SAMPLES, 0.5 * (b - a) / tracker.period):

@@ -74,7 +74,7 @@ def best_offset(
         turning = np.array([kind != "prismatic" for kind in robot.kinds])
         ways = readings(Sample(q, turning, m, np.zeros(len(q))), robot)
         if ways:
-            contrary = contradicted(clocks, joints.log, still, tracker, tracker_still)
+            contrary = contradiction_time(clocks, joints.log, still, tracker, tracker_still)
             fits.append((JudgedCandidate(candidate, windows_of_both, ways[0].share, contrary), units))
     if not fits:
         if not candidates_and_units:
@@ -127,7 +127,7 @@ def _shared(clocks: Clocks, joints: Log, tracker: Log) -> float:
     return float(max(min(last, joints.time[-1]) - max(first, joints.time[0]), 0.0))
 
 
-def contradicted(
+def contradiction_time(
     clocks: Clocks, joints: Log, still: Standstills, tracker: Log, tracker_still: Standstills
 ) -> tuple[float, float]:
     """Time for which the target moves while the joints stand, and for which the joints move while the target stands, [s].

@@ -25,7 +25,7 @@ from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.plan.configurations import Candidates
-from aridcal.jobs.plan.information import CandidateInformation, so_far, together, whitened
+from aridcal.jobs.plan.information import CandidateInformation, measured_information, stack_by_candidate, whitened
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 BHATTACHARYYA_DIVISOR = 8.0
@@ -106,7 +106,7 @@ class _Side:
         )
 
 
-def telling_apart(
+def discriminating_candidates(
     setup: PlanSetup,
     unknowns: CandidateInformation,
     effects: Sequence[tuple[str, tuple[Coefficient, ...]]],
@@ -132,8 +132,8 @@ def telling_apart(
         tuple(dict.fromkeys(c for e in others for c in e.coefficients if c not in setup.model.coefficients))
     )
     number = {c: unknowns.things + k for k, c in enumerate(wide.model.coefficients)}
-    rows = together(whitened(wide, candidates_offered), candidates_offered)
-    flat, residual = so_far(wide, candidates_offered)
+    rows = stack_by_candidate(whitened(wide, candidates_offered), candidates_offered)
+    flat, residual = measured_information(wide, candidates_offered)
     parts = [[number[c] for c in effect.coefficients] for effect in hypotheses]
     own_columns = {number[c] for _, part in effects for c in part}
     base = np.array(

@@ -45,7 +45,7 @@ class CandidateInformation:
     sizes: np.ndarray
 
 
-def told(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformation:
+def candidate_information(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformation:
     """Information of candidates beside what is known.
 
     Args:
@@ -55,7 +55,7 @@ def told(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformati
     """
     rows = whitened(setup, candidates)
     width = rows.shape[2]
-    flat, _ = so_far(setup, candidates)
+    flat, _ = measured_information(setup, candidates)
     all_rows = np.concatenate([flat, rows.reshape(-1, width) * np.sqrt(n / len(candidates.readings))])
     count = width - len(setup.theta)
     R = np.asarray(np.linalg.qr(all_rows, mode="r"))
@@ -66,13 +66,18 @@ def told(setup: PlanSetup, candidates: Candidates, n: int) -> CandidateInformati
     measured = flat.T @ flat
     loose = np.diag(1.0 / (LOOSE * sizes[asked_about]) ** 2)
     return CandidateInformation(
-        together(rows[:, :, asked_about], candidates), measured + loose, measured, count, kept, sizes[asked_about]
+        stack_by_candidate(rows[:, :, asked_about], candidates),
+        measured + loose,
+        measured,
+        count,
+        kept,
+        sizes[asked_about],
     )
 
 
 def rows_of(setup: PlanSetup, unknowns: CandidateInformation, candidates: Candidates) -> np.ndarray:
     """Rows of other candidates in the same unknowns, in sigmas, shape (C, p, D)."""
-    return together(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
+    return stack_by_candidate(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
 
 
 def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
@@ -80,7 +85,7 @@ def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
     return _whitened(problem(setup.model, candidates.rows(setup)), setup)[0]
 
 
-def so_far(setup: PlanSetup, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
+def measured_information(setup: PlanSetup, candidates: Candidates) -> tuple[np.ndarray, np.ndarray]:
     """Columns (n, D) and residuals (n,) of the rows so far and of what is stated or expected beforehand, in sigmas."""
     beforehand = _beforehand_rows(problem(setup.model, candidates.some([0]).rows(setup)), setup)
     if not len(setup.rows):
@@ -143,7 +148,7 @@ def _beforehand_rows(question: Problem, setup: PlanSetup) -> np.ndarray:
     return rows
 
 
-def together(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
+def stack_by_candidate(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     """Rows (N, m, D) stacked by candidate, shape (C, p, D); an image's are reduced to the rank of all its markers."""
     _, m, D = rows.shape
     count = np.bincount(candidates.of, minlength=len(candidates.readings))

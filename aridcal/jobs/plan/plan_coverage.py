@@ -12,7 +12,7 @@ from aridcal.engine.trust.workspace import LOOSE
 from aridcal.jobs.plan.configurations import Candidates, targets_of
 from aridcal.jobs.plan.information import ASSUMED_SHARE, CandidateInformation
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
-from aridcal.jobs.plan.row_exchange import RowChoice, rms_sigma, taken_away, worst_sigma
+from aridcal.jobs.plan.row_exchange import RowChoice, covariances_without, rms_sigma, worst_sigma
 
 CURVE_POINTS = 12
 """Points of the curve of sigma against the number of configurations: a smooth line, and each a small decomposition."""
@@ -57,11 +57,11 @@ class PlanCoverage:
 def sigma_of(choice: RowChoice, chosen: list[int]) -> Sigma:
     """Sigma over the region with the chosen configurations."""
     M = choice.information(chosen)
-    rms = told_sigma(rms_sigma(choice, M))
+    rms = observed_sigma(rms_sigma(choice, M))
     return Sigma(len(chosen), rms, worst_sigma(choice, M) if np.isfinite(rms) else np.nan)
 
 
-def told_sigma(sigma: float) -> float:
+def observed_sigma(sigma: float) -> float:
     """A sigma, or NaN where it comes from what is assumed, not from rows."""
     return sigma if sigma < ASSUMED_SHARE * LOOSE else float("nan")
 
@@ -94,7 +94,7 @@ def coverage(
     loss = np.zeros((len(rows), len(names)))
     for k, F in enumerate(rows):
         without_row = partial(planned.information, [other for other in range(len(rows)) if other != k])
-        without, _ = taken_away(planned, covariance, solved, F, without_row)
+        without, _ = covariances_without(planned, covariance, solved, F, without_row)
         loss[k] = [_growth(without, covariance, part) for part in parts]
     variances = np.linalg.eigvalsh(choice.variances(M))[:, -1]
     return PlanCoverage(

@@ -12,17 +12,23 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import MeasurementSettings
 from aridcal.files.orientations import column_of
-from aridcal.jobs.plan.approaches import Approaches, as_they_come, from_both_sides
+from aridcal.jobs.plan.approaches import Approaches, approach_sides, from_both_sides
 from aridcal.jobs.plan.configurations import Candidates, allowed, draw_candidates, ends, offers
-from aridcal.jobs.plan.discrimination import Duel, telling_apart
-from aridcal.jobs.plan.information import CandidateInformation, in_line, rows_of, target_columns, told
-from aridcal.jobs.plan.plan_coverage import PlanCoverage, Sigma, coverage, indices, sigma_of, told_sigma
+from aridcal.jobs.plan.discrimination import Duel, discriminating_candidates
+from aridcal.jobs.plan.information import CandidateInformation, candidate_information, in_line, rows_of, target_columns
+from aridcal.jobs.plan.plan_coverage import PlanCoverage, Sigma, coverage, indices, observed_sigma, sigma_of
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
 from aridcal.jobs.plan.refinement import RefinedCandidates, refined
 from aridcal.jobs.plan.row_exchange import FEW, Criterion, RowChoice, best_choice, nested, rms_sigma
 from aridcal.jobs.plan.target_region import region_readings
 from aridcal.jobs.plan.travel import short_order
-from aridcal.jobs.plan.usual_effects import both_sides, observed_by, with_pair, with_stated_effects, with_usual_effects
+from aridcal.jobs.plan.usual_effects import (
+    both_sides,
+    observed_rows,
+    with_pair,
+    with_stated_effects,
+    with_usual_effects,
+)
 from aridcal.system.errors import CampaignError
 from aridcal.system.progress import SILENT, Progress
 
@@ -139,8 +145,8 @@ def design(setup: PlanSetup, request: PlanRequest, progress: Progress = SILENT) 
             (name, tuple(setup.model.coefficients[k] for k in part))
             for name, part in zip(request.apart, parts, strict=True)
         ]
-        observed = observed_by(setup, candidates.rows(setup))
-        chosen, duels = telling_apart(setup, unknowns, pair, observed, candidates, request.n)
+        observed = observed_rows(setup, candidates.rows(setup))
+        chosen, duels = discriminating_candidates(setup, unknowns, pair, observed, candidates, request.n)
     else:
         chosen = best_choice(choice, request.n, choosing)
     best = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
@@ -167,7 +173,7 @@ def design(setup: PlanSetup, request: PlanRequest, progress: Progress = SILENT) 
         labels={name: np.array([title[name] for title in titles]) for name in titles[0]},
         directions={setup.robot.readings[j]: approaches.sides[:, j] for j in both},
         sigma=tuple(sigma_of(extended, order[:count]) for count in sorted(counts)),
-        random=told_sigma(float(np.median(random))),
+        random=observed_sigma(float(np.median(random))),
         indices=indices(setup, unknowns, rows),
         unknowns=len(unknowns.kept),
         measured=len(setup.rows),
@@ -200,7 +206,7 @@ def question(
         region: Readings where the target is to be known, shape (R, columns).
     """
     setup, parts = with_pair(setup, request.apart, candidates)
-    unknowns = told(setup, candidates, request.n)
+    unknowns = candidate_information(setup, candidates, request.n)
     for name, part in zip(request.apart, parts, strict=True):
         if not set(part) & set(unknowns.kept):
             raise CampaignError(
@@ -220,7 +226,7 @@ def _visits(
     """Configurations in the order of their visits, how each is approached, and notices of approaches without room."""
     robot = setup.robot
     visited = best.some(short_order(best.readings))
-    natural = as_they_come(visited.readings, robot.kinds)
+    natural = approach_sides(visited.readings, robot.kinds)
     approaches = from_both_sides(visited.readings, robot.kinds, robot.limits, both_sides(setup), rng)
     number = np.flatnonzero(np.isfinite(approaches.via).all(axis=1))
     blocked = number[~allowed(setup, approaches.via[number], visited.first[number])]

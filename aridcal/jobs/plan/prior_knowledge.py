@@ -25,10 +25,16 @@ from aridcal.engine.search.loop import fit_arm, fit_constants, surroundings
 from aridcal.files.campaign import Campaign
 from aridcal.files.purposes import Box
 from aridcal.files.read import load_measurements, with_routes
-from aridcal.files.things import InstrumentDeclarations, ThingReferences, instruments_of, known_of, with_trackers
+from aridcal.files.things import (
+    InstrumentDeclarations,
+    ThingReferences,
+    instrument_declarations,
+    instruments_of,
+    with_trackers,
+)
 from aridcal.jobs.plan.clearance import ARM_HALF_THICKNESS
-from aridcal.jobs.plan.mounting import mounting_side, stands_above
-from aridcal.system.errors import CampaignError, MeasurementError, listed
+from aridcal.jobs.plan.mounting import keeps_above, mounting_side
+from aridcal.system.errors import CampaignError, MeasurementError, name_list
 from aridcal.system.progress import SILENT, Progress
 
 PLANNED_KINDS = tuple(name for name, kind in KINDS.items() if not kind.of_head)
@@ -130,7 +136,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         raise CampaignError(
             f"{campaign.path}: measurements.kind: configurations for `kind: {kind}` cannot be planned, as what a shot tells "
             "hangs on the squares in its image; plan for `kind: pose`, with `noise` as `aridcal measure` states it for your "
-            f"head, and take those that show a square. Others that can be planned: {listed(PLANNED_KINDS[1:])}"
+            f"head, and take those that show a square. Others that can be planned: {name_list(PLANNED_KINDS[1:])}"
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
@@ -220,7 +226,7 @@ def _side(campaign: Campaign, robot: Robot, readings: np.ndarray) -> float:
         return 0.0
     side = mounting_side(robot) if campaign.design.keep_out is None else 0.0
     flanges = tip_frames(robot, readings)[1]
-    return side if side and stands_above(robot, side, readings, flanges).all() else 0.0
+    return side if side and keeps_above(robot, side, readings, flanges).all() else 0.0
 
 
 def _patterns(rows: Dataset) -> Dataset:
@@ -252,7 +258,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
             f"{campaign.path}: frames: `per: station`: nothing was measured yet, so that no station is known; plan for one, "
             "without this key"
         )
-    things = known_of(campaign)
+    things = instrument_declarations(campaign)
     refers = _labels_referred(campaign, things)
     labels = _targets(campaign, robot)
     refers, target = np.repeat(refers, max(1, len(labels)), axis=0), np.tile(labels, len(refers))

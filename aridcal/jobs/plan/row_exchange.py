@@ -116,7 +116,7 @@ def best_choice(choice: RowChoice, n: int, rng: np.random.Generator, starts: int
     if choice.criterion == "G":
         return _for_the_worst(choice, n, rng, starts)
     choices = [greedy(choice, n), *(rng.permutation(len(choice.rows))[:n].tolist() for _ in range(starts - 1))]
-    ends = [exchanged(choice, chosen) for chosen in choices]
+    ends = [exchange_members(choice, chosen) for chosen in choices]
     return min(ends, key=choice.cost)
 
 
@@ -130,7 +130,7 @@ def greedy(choice: RowChoice, n: int, begin: Sequence[int] = ()) -> list[int]:
     return chosen
 
 
-def exchanged(choice: RowChoice, chosen: Sequence[int]) -> list[int]:
+def exchange_members(choice: RowChoice, chosen: Sequence[int]) -> list[int]:
     """A choice with members exchanged as long as that makes it better."""
     chosen = list(chosen)
     for _ in range(max(FEWEST_PASSES, MOST_QUESTIONS // max(len(chosen), 1))):
@@ -138,7 +138,7 @@ def exchanged(choice: RowChoice, chosen: Sequence[int]) -> list[int]:
         unchanged = True
         for place, old in enumerate(chosen):
             without_member = partial(choice.information, [c for c in chosen if c != old])
-            without, solved_without = taken_away(choice, covariance, solved, choice.rows[old], without_member)
+            without, solved_without = covariances_without(choice, covariance, solved, choice.rows[old], without_member)
             gain = _worth(choice, without, solved_without)
             gain_of_old = gain[old]
             gain[[c for c in chosen if c != old]] = -np.inf
@@ -166,7 +166,7 @@ def nested(choice: RowChoice, chosen: Sequence[int], most: int) -> list[int]:
     remaining, removed = list(chosen), []
     while remaining:
         covariance, solved = np.linalg.inv(choice.information(remaining)), _of_solved(choice, remaining)
-        loss = [-worth_of(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[remaining][:, None]]
+        loss = [-gain_of_rows(choice, F, covariance, solved, -1.0)[0] for F in choice.rows[remaining][:, None]]
         removed.append(remaining.pop(int(np.argmin(loss))))
     return greedy(choice, most, removed[::-1])
 
@@ -177,17 +177,17 @@ def _for_the_worst(choice: RowChoice, n: int, rng: np.random.Generator, starts: 
     best = chosen = best_choice(mean, n, rng, starts)
     for _ in range(WORST_ROUNDS):
         mean = replace(mean, weight=weights_of_the_worst(mean, chosen))
-        chosen = exchanged(mean, chosen)
+        chosen = exchange_members(mean, chosen)
         best = min(best, chosen, key=choice.cost)
     return best
 
 
 def _worth(choice: RowChoice, covariance: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """By how much each candidate, added, makes the cost smaller, shape (C,)."""
-    return worth_of(choice, choice.rows, covariance, solved, 1.0)
+    return gain_of_rows(choice, choice.rows, covariance, solved, 1.0)
 
 
-def worth_of(
+def gain_of_rows(
     choice: RowChoice, rows: np.ndarray, covariance: np.ndarray, solved: np.ndarray, sign: float
 ) -> np.ndarray:
     """By how much each of some rows, added or taken away (sign -1), makes the cost smaller, shape (n,)."""
@@ -236,7 +236,7 @@ def _of_solved(choice: RowChoice, chosen: Sequence[int]) -> np.ndarray:
     return np.linalg.inv(choice.information(chosen)[instruments, instruments])
 
 
-def taken_away(
+def covariances_without(
     choice: RowChoice,
     covariance: np.ndarray,
     solved: np.ndarray,

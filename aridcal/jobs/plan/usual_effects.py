@@ -13,7 +13,7 @@ from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.model.predictions import rows_of_data
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.covariate_table import look
+from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.files.campaign import EffectDeclaration
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
@@ -83,7 +83,7 @@ def with_usual_effects(setup: PlanSetup, pool: Candidates) -> PlanSetup:
     if not diagnosis.enabled:
         return setup
     rows = pool.rows(setup)
-    observed = observed_by(setup, rows)
+    observed = observed_rows(setup, rows)
     planned: dict[str, None] = {}
     for kind, coefficients in _usual(observed, set(diagnosis.candidates), str(setup.campaign.path)):
         added = tuple(c for c in coefficients if c not in setup.model.coefficients)
@@ -153,9 +153,9 @@ def _declared(
     setup: PlanSetup, declaration: EffectDeclaration, place: str, pool: Candidates
 ) -> tuple[Coefficient, ...]:
     """Coefficients of a declared effect, made from the pool's configurations."""
-    return declared(observed_by(setup, pool.rows(setup)), declaration, place).coefficients
+    return declared(observed_rows(setup, pool.rows(setup)), declaration, place).coefficients
 
 
-def observed_by(setup: PlanSetup, rows: Dataset) -> ObservedRows:
+def observed_rows(setup: PlanSetup, rows: Dataset) -> ObservedRows:
     """Covariates of some rows, from which effects can be made."""
-    return look(setup.model.with_coefficients(()), rows)[0]
+    return covariates_and_exclusions(setup.model.with_coefficients(()), rows)[0]

@@ -28,10 +28,10 @@ from aridcal.jobs.prepare.condition_columns import say_covariates, say_repeats
 from aridcal.jobs.prepare.guesses import Chooser, Proposal, ask
 from aridcal.jobs.prepare.limb_columns import limbs_of
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO, MOST_ANSWERS, say_orientation, sensible
-from aridcal.jobs.prepare.other_kinds import other_kind, say_other_kind
+from aridcal.jobs.prepare.other_kinds import kind_of_table, say_other_kind
 from aridcal.jobs.prepare.other_readings import SAMPLE_ROWS
-from aridcal.jobs.prepare.units_and_angles import Sample, TableReading, one_slip_away, readings, rounded
-from aridcal.system.errors import MeasurementError, RobotError, listed, shortened
+from aridcal.jobs.prepare.units_and_angles import Sample, TableReading, fit_with_one_slip, readings, rounded
+from aridcal.system.errors import MeasurementError, RobotError, name_list, shortened
 
 # Share of rows in which a quaternion's norm is 1.
 LEAST_UNIT_NORM_SHARE = 0.8
@@ -93,7 +93,7 @@ def propose(urdf: bytes, path: Path, table: Table, asker: Chooser, clock: str | 
     if limbs is not None and limbs.on:
         proposal.robot = with_limbs(robot, list(limbs.on.values()))
     spare = limbs.spare if limbs is not None else ()
-    if (other := other_kind(table, used)) is not None:
+    if (other := kind_of_table(table, used)) is not None:
         kind, columns_of_kind = other
         turning = np.array([joint != "prismatic" for joint in robot.kinds])
         used |= {
@@ -178,7 +178,7 @@ def _joints(
     if not complete:
         lacking = [joint for joint in max(matches, key=len) if joint not in names]
         raise MeasurementError(
-            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {listed(names)}. Name "
+            f"{table.title}: no columns for the joints {', '.join(lacking)}. Its columns are {name_list(names)}. Name "
             "the joints' columns as in the URDF, or number them q1, q2, … along the chain. Where the controller logged them in a "
             f"file of its own, `aridcal merge joints.csv {table.title} --urdf … --tip …` makes one table of both"
         )
@@ -381,7 +381,7 @@ def _units(
     near = [r for r in ways if r.per == best.per][:MOST_ANSWERS]
     counting, slip = best, ""
     if best.share > STRANGE_SHARE:  # a joint that counts otherwise makes other units look right
-        other = one_slip_away(sample, robot, near)
+        other = fit_with_one_slip(sample, robot, near)
         if other.share <= STRANGE_SHARE:
             units = (other.angle, other.length, other.travel)
             best, counting = next(r for r in near if (r.angle, r.length, r.travel) == units), other

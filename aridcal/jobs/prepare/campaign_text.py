@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from aridcal.engine.robot.described_robots import RobotDescription, described
+from aridcal.engine.robot.described_robots import RobotDescription, robot_description
 from aridcal.engine.robot.expand import plain_name, read_urdf
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
@@ -77,7 +77,7 @@ def draft(
     """
     asker = Chooser(choose, settled or {})
     asker.check(QUESTIONS)
-    source = described(urdf, packages or {}, arguments or {})
+    source = robot_description(urdf, packages or {}, arguments or {})
     content = read_urdf(source.path, URDF, source.packages, source.arguments)
 
     def proposed(dialect: Dialect, asker: Chooser) -> Proposal:

@@ -13,7 +13,7 @@ from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
     SCATTER_WORDS,
     angle_triples,
-    named,
+    named_column,
     numbered,
     positions,
     quaternions,
@@ -65,7 +65,7 @@ def say_covariates(
     proposal.say("measurements.noise", None, why)
     free = [name for name in table.names if name and name not in used and name not in STD]
     for quantity, si_unit, spellings in COVARIATES:
-        column = named(free, *spellings)
+        column = named_column(free, *spellings)
         if quantity == "time" and clock in free:
             free.remove(clock)
             proposal.say_columns({quantity: clock}, "dates, in seconds")

@@ -145,5 +145,5 @@ def ask(choose: Choose, question: str, answers: Sequence[str], why: str) -> tupl
     return answer or 0, answer is not None
 
 
-def nobody(question: str, answers: Sequence[str], why: str) -> None:
+def leave_open(question: str, answers: Sequence[str], why: str) -> None:
     """Leaves every question open: what changes no number is guessed and said to be, and all else is an error."""

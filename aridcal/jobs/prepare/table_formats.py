@@ -11,7 +11,7 @@ import pandas as pd
 from aridcal.files.formats import robot_calibration
 from aridcal.files.formats.sniffing import as_keys, look
 from aridcal.files.tables import AnyTable, check_ending
-from aridcal.jobs.prepare.guesses import Chooser, Guess, Proposal, nobody
+from aridcal.jobs.prepare.guesses import Chooser, Guess, Proposal, leave_open
 from aridcal.jobs.prepare.orientation_columns import CLEAR_RATIO
 from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import AridcalError, MeasurementError
@@ -80,7 +80,7 @@ def best_dialect(
     """
     if len(dialects) == 1:
         return dialects[0], ""
-    alone = Chooser(nobody, asker.settled)
+    alone = Chooser(leave_open, asker.settled)
     misfits: list[tuple[float, Dialect]] = []
     failure: AridcalError | None = None
     for dialect in dialects:

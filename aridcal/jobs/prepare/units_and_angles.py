@@ -124,7 +124,7 @@ def readings(sample: Sample, robot: Robot) -> list[TableReading]:
     return sorted(ways, key=lambda reading: reading.share)
 
 
-def one_slip_away(sample: Sample, robot: Robot, ways: Sequence[TableReading]) -> TableReading:
+def fit_with_one_slip(sample: Sample, robot: Robot, ways: Sequence[TableReading]) -> TableReading:
     """The best fit of some ways to read the columns, if one joint counts backwards or from another quarter of a turn.
 
     Args:

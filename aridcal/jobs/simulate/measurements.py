@@ -20,17 +20,17 @@ from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.joined import GRASP
 from aridcal.engine.instruments.kind import MeasurementKind
 from aridcal.engine.instruments.kinds import KINDS, labelled
-from aridcal.engine.instruments.pose import TRACKER, shown
+from aridcal.engine.instruments.pose import TRACKER, tracker_positions
 from aridcal.engine.instruments.setup import TIP, WORLD
-from aridcal.engine.inverse.reachable import Miss, Pose, brought, draw_readings, limits_of, settled
+from aridcal.engine.inverse.reachable import Miss, Pose, draw_readings, limits_of, readings_for_poses, settled
 from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.instrument_settings import TargetSettings
 from aridcal.files.measurement_settings import SHOT, TARGET, MeasurementSettings
 from aridcal.files.orientations import POSITION, QUATERNION
-from aridcal.files.read import ONE_TARGET, own_target
+from aridcal.files.read import ONE_TARGET, default_target
 from aridcal.files.routes import routes_of
-from aridcal.files.things import InstrumentDeclarations, known_of
+from aridcal.files.things import InstrumentDeclarations, instrument_declarations
 from aridcal.jobs.simulate.camera_postures import Sight, Tips, draw_images, sight
 from aridcal.jobs.simulate.scenario import Scenario, TrueFrame, columns_of
 from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
@@ -212,7 +212,7 @@ def targets(scenario: Scenario, tip: pin.SE3) -> dict[str, pin.SE3]:
 def _labels_of_block(scenario: Scenario, block: MeasurementSettings) -> list[str]:
     """Labels of the targets that a block's rows measure: the one that it names, or all that no block names."""
     if block.traits.bare or (block.traits.level and block.target is None):
-        return [own_target(block.traits, block.title)]
+        return [default_target(block.traits, block.title)]
     if block.target is not None:
         return [block.target]
     of_other_blocks = [other.title for other in scenario.blocks if other.traits.level]
@@ -221,7 +221,7 @@ def _labels_of_block(scenario: Scenario, block: MeasurementSettings) -> list[str
     return [name for name in stated if name not in of_other_blocks] or [ONE_TARGET]
 
 
-def measured(
+def simulate_measurements(
     scenario: Scenario, machine: Machine, around: Surroundings, streams: Sequence[np.random.Generator]
 ) -> SimulatedMeasurements:
     """Measure a machine with all blocks of a scenario.
@@ -238,7 +238,7 @@ def measured(
     configurations, noise, outliers, chance, of_things = streams
     truth, robot = scenario.truth, machine.robot
     streams_of_blocks = configurations.spawn(len(scenario.blocks) + 1)
-    known, things = known_of(scenario), truth.instruments
+    known, things = instrument_declarations(scenario), truth.instruments
     roles = ("point", "anchor", "plane", "camera", "link", GRASP.name)
     of_role = dict(zip(roles, of_things.spawn(len(roles)), strict=True))
     around_things = _around_things(scenario, machine, streams_of_blocks[-1], of_role["link"])
@@ -296,7 +296,7 @@ def _grasps(scenario: Scenario, machine: Machine, rng: np.random.Generator) -> R
     for number, block in enumerate(scenario.blocks):
         if block.links is not None:
             (route,) = routes_of(
-                known_of(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
+                instrument_declarations(scenario), block.kind, np.full((1, 1), ""), None, machine.robot.tip, block.links
             )
 
             def draw_poses(count: int, route: Route = route) -> tuple[np.ndarray, np.ndarray]:
@@ -373,7 +373,7 @@ def _first_rows(
     if miss is None:
         return replace(rows, readings=draw_readings(machine.robot, n, rng))
     advice = "name other links" if kind.joins else "move those under `truth.instruments`"
-    return replace(rows, readings=brought(machine.robot, pose(rows), miss, n, rng, place, advice))
+    return replace(rows, readings=readings_for_poses(machine.robot, pose(rows), miss, n, rng, place, advice))
 
 
 def _errors(
@@ -509,7 +509,7 @@ def _read(
     """Readings of the instrument, shape (n,) each, by the names of the columns."""
     kind = rows.kind
     if kind.tracked:
-        values = dict(zip(POSITION, (shown(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
+        values = dict(zip(POSITION, (tracker_positions(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
         if kind.oriented:
             turn = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             values |= dict(zip(QUATERNION, turn.as_quat(canonical=True).T, strict=True))

@@ -13,7 +13,7 @@ from aridcal.engine.corrections.loads import PAYLOAD
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.campaign import JobSettings
 from aridcal.files.yaml_file import Section, Vector3
-from aridcal.jobs.simulate.true_effects import Parameter, TrueEffect, columns_needed, given
+from aridcal.jobs.simulate.true_effects import Parameter, TrueEffect, columns_needed, number_as_value
 from aridcal.jobs.simulate.true_things import TrueThings
 from aridcal.system.errors import CampaignError
 
@@ -62,7 +62,7 @@ class Outliers(Section):
 class Truth(Section):
     """What the simulated machine and its measurements are really like."""
 
-    parameters: dict[str, Annotated[Parameter, BeforeValidator(given)]] = Field(default_factory=dict)
+    parameters: dict[str, Annotated[Parameter, BeforeValidator(number_as_value)]] = Field(default_factory=dict)
     frames: TrueFrames = TrueFrames()
     effects: tuple[TrueEffect, ...] = ()
     covariates: tuple[str, ...] = ()

@@ -30,7 +30,7 @@ from aridcal.files.quantities import POSITION
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_squares
 from aridcal.jobs.head1992.render import Optics
-from aridcal.jobs.simulate.measurements import measured, targets
+from aridcal.jobs.simulate.measurements import simulate_measurements, targets
 from aridcal.jobs.simulate.scenario import Scenario, Truth, check_scenario, columns_of
 from aridcal.jobs.simulate.true_effects import Machine, PreparedEffect, draw_columns, make_causes
 from aridcal.jobs.simulate.true_things import RealThings, documents
@@ -162,7 +162,7 @@ def _among_things(
     machine = Machine(robot, constants, theta, frames["world_base"], targets(scenario, frames["tip_target"]))
     names = columns_of(scenario, robot, truth.effects)
     progress.at("moving the robot")
-    result = measured(scenario, machine, surroundings(scenario, frames, names), streams)
+    result = simulate_measurements(scenario, machine, surroundings(scenario, frames, names), streams)
     tips = {"tip_target": frames["tip_target"]} if len(machine.tips) == 1 else dict(machine.tips)
     return Simulation(
         scenario=scenario,

@@ -68,13 +68,13 @@ class Parameter(Section):
     std: float = Field(default=0.0, ge=0, le=LARGEST)
 
 
-def given(value: Any) -> Any:
+def number_as_value(value: Any) -> Any:
     """Let a plain number stand for a value that is not drawn."""
     return {"value": value} if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def _given_list(values: Any) -> Any:
-    return tuple(given(v) for v in (values if isinstance(values, list | tuple) else (values,)))
+    return tuple(number_as_value(v) for v in (values if isinstance(values, list | tuple) else (values,)))
 
 
 class TrueEffect(EffectDeclaration):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from aridcal.pages.drawing.figures import EDGES, TICKS, WIDTH, below, beside, drawn_or_missing
+from aridcal.pages.drawing.figures import EDGES, TICKS, WIDTH, drawn_or_missing, label_below, label_beside
 from aridcal.pages.drawing.plot import (
     INK,
     LINE,
@@ -22,8 +22,8 @@ from aridcal.pages.drawing.plot import (
     round_up,
     scale,
     text,
+    tick_texts,
     whole,
-    written,
 )
 from aridcal.system.wording import number
 
@@ -118,8 +118,8 @@ def _plane(
     middle = [0.5 * (end.low + end.high) for end in (x, y)]
     half = [0.5 * unit_length * length for length in (width, height)]
     area = Area(left, top, width, height, *(Scale(m - h, m + h) for m, h in zip(middle, half, strict=True)))
-    made = [names, _color_scale(left, high, width, unit, steps), frame(area, TICKS), below(area, labels[0])]
-    return area, [*made, beside(area, labels[1])], area.bottom + EDGES[0]
+    made = [names, _color_scale(left, high, width, unit, steps), frame(area, TICKS), label_below(area, labels[0])]
+    return area, [*made, label_beside(area, labels[1])], area.bottom + EDGES[0]
 
 
 def _color_scale(left: float, top: float, width: float, unit: str, steps: np.ndarray) -> str:
@@ -128,7 +128,7 @@ def _color_scale(left: float, top: float, width: float, unit: str, steps: np.nda
     made = []
     for k, color in enumerate(LEVELS):
         made.append(path(f"M{left + k * each:.1f} {top + 4:.1f}h{each:.1f}v8h-{each:.1f}Z", fill=color))
-    said = [*written(steps[:-1], float(steps[1])), number(float(steps[-1]), 2)]
+    said = [*tick_texts(steps[:-1], float(steps[1])), number(float(steps[-1]), 2)]
     for k, value in enumerate(said):
         made.append(text(left + k * each, top + 23, value, "start" if k == 0 else "middle"))
     return "".join([*made, text(left + width, top + 12, unit, "end", INK)])

@@ -32,8 +32,8 @@ from aridcal.pages.drawing.plot import (
     scale,
     stairs,
     text,
+    text_width,
     whole,
-    wide,
 )
 
 P = ParamSpec("P")
@@ -103,11 +103,11 @@ def coverage(key: str, alt: str, names: Sequence[str], shares: Sequence[np.ndarr
         ranges: The two limits in words.
     """
     count, each = len(names), 30.0
-    left = min(6 + max((wide(said) for said in (*map(_short, names), *ranges)), default=0.0), 0.45 * WIDTH)
+    left = min(6 + max((text_width(said) for said in (*map(_short, names), *ranges)), default=0.0), 0.45 * WIDTH)
     area = Area(left, 6.0, WIDTH - left - EDGES[1], each * count, Scale(0.0, 100.0), Scale(0.0, max(count, 1)))
     across = area.x.ticks(TICKS[0])
     grid = "".join(f"M{u:.1f} {area.top:.1f}V{area.bottom:.1f}" for u in area.across(across[0]))
-    made = [path(grid, stroke=EDGE, stroke_width=0.4), below(area, "share of the joint's range [%]")]
+    made = [path(grid, stroke=EDGE, stroke_width=0.4), label_below(area, "share of the joint's range [%]")]
     made += [
         text(float(u), area.bottom + 12, said, "middle")
         for u, said in zip(area.across(across[0]), across[1], strict=True)
@@ -157,7 +157,7 @@ def panels(
     whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
     gap, count = 10.0, len(values)
     each = (whole_area.width - gap * (count - 1)) / count
-    made = [below(whole_area, labels[0]), beside(whole_area, labels[1])]
+    made = [label_below(whole_area, labels[0]), label_beside(whole_area, labels[1])]
     some = _some(len(x))
     for k, (name, v) in enumerate(values.items()):
         left = whole_area.left + k * (each + gap)
@@ -280,7 +280,7 @@ def curve(
 
 
 @drawn_or_missing
-def banded(
+def banded_curves(
     key: str,
     alt: str,
     at: np.ndarray,
@@ -331,20 +331,20 @@ def axes(
     entries, high = legend(names, left, width)
     top = above if above is not None else high + 4
     area = Area(left, top, width - left - EDGES[1], HEIGHT - top - EDGES[0], x, y)
-    return area, [entries, frame(area, TICKS), below(area, labels[0]), beside(area, labels[1])]
+    return area, [entries, frame(area, TICKS), label_below(area, labels[0]), label_beside(area, labels[1])]
 
 
-def below(area: Area, label: str) -> str:
+def label_below(area: Area, label: str) -> str:
     """The label of a horizontal axis."""
     return text(area.left + area.width / 2, area.bottom + 27, label, "middle", INK)
 
 
-def beside(area: Area, label: str) -> str:
+def label_beside(area: Area, label: str) -> str:
     """The label of a vertical axis."""
     return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
 
 
-def of_cloud(count: int) -> str:
+def cloud_caption(count: int) -> str:
     """For the caption of a cloud: how many of its points are drawn; empty where all are."""
     return f" ({POINTS:,} of {count:,} rows drawn)" if count > POINTS else ""
 

@@ -171,7 +171,7 @@ def codes(names: Sequence[str]) -> Content:
 
 
 @contextmanager
-def noting() -> Iterator[list[str]]:
+def collect_notices() -> Iterator[list[str]]:
     """Collect the notices of :func:`attempt` while a page is drawn.
 
     Yields:
@@ -204,7 +204,7 @@ def attempt(what: str, draw: Callable[[], T], instead: Callable[[str], T]) -> T:
 
 
 def note(notice: str) -> None:
-    """Add a notice to those that :func:`noting` collects."""
+    """Add a notice to those that :func:`collect_notices` collects."""
     notices = _missing.get()
     if notices is not None and notice not in notices:
         notices.append(notice)

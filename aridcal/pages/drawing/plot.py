@@ -63,7 +63,7 @@ class Scale:
         # a tick at the very end is one, in spite of rounding
         first, last = math.ceil(self.low / step - 1e-6), math.floor(self.high / step + 1e-6)
         at = step * np.arange(first, last + 1)
-        return at, written(at, step)
+        return at, tick_texts(at, step)
 
 
 def scale(values: np.ndarray, room: float = 0.0) -> Scale:
@@ -81,7 +81,7 @@ def round_up(value: float) -> float:
     return power * next(step for step in STEPS if step * (1 + 1e-9) >= value / power)
 
 
-def written(at: np.ndarray, step: float) -> list[str]:
+def tick_texts(at: np.ndarray, step: float) -> list[str]:
     """Ticks in words: with as many decimals as their step needs, all with an exponent where one would be too long."""
     largest = float(np.abs(at).max(initial=0.0))
     last = math.floor(math.log10(step) + 1e-9)  # place of the digit in which ticks differ
@@ -144,7 +144,7 @@ class Area:
         return self.bottom - self.height * self.y.share(np.asarray(values, dtype=float))
 
 
-def wide(text: str) -> float:
+def text_width(text: str) -> float:
     """About how wide text is."""
     return TEXT * sum(THIN if c in NARROW else THICK if c in BROAD else LETTER for c in text)
 
@@ -251,7 +251,7 @@ def clipped(key: str, area: Area, drawn: str) -> str:
 
 def room_for(y: Scale, most: int) -> float:
     """How wide the ticks of a vertical axis are."""
-    return max((wide(said) for said in y.ticks(most)[1]), default=0.0)
+    return max((text_width(said) for said in y.ticks(most)[1]), default=0.0)
 
 
 def frame(area: Area, most: tuple[int, int], numbers: bool = True) -> str:
@@ -293,7 +293,7 @@ def legend(entries: Sequence[LegendEntry], left: float, right: float) -> tuple[s
     """Entries from the top on, as many in a line as there is room for; and how high they are."""
     made, x, y = [], left, LINE - 4
     for entry in entries:
-        length = 14 + wide(entry.name)
+        length = 14 + text_width(entry.name)
         if x > left and x + length > right:
             x, y = left, y + LINE
         made.append(_sign(entry, x, y - 3.5) + text(x + 14, y, entry.name, color=INK))

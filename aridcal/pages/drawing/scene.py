@@ -21,12 +21,12 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.fit.constants import stage_urdf
-from aridcal.engine.robot.chain import Robot, same_chain
+from aridcal.engine.robot.chain import Robot, chain_in_urdf
 from aridcal.engine.robot.kinematics import LEVEL_GRAVITY, start_frames, tree_frames
 from aridcal.engine.robot.link_shapes import LinkShape
 from aridcal.jobs.calibrate.outcome import Outcome
-from aridcal.pages.drawing.drawn_rows import thinned
-from aridcal.pages.drawing.html import attempt, note, noting
+from aridcal.pages.drawing.drawn_rows import drawn_rows
+from aridcal.pages.drawing.html import attempt, collect_notices, note
 from aridcal.pages.drawing.page_frame import asset, empty_page, filled
 from aridcal.pages.drawing.robot_shapes import packed, position_quaternion, robot_shapes, stepped, turn
 
@@ -118,7 +118,7 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
     Returns:
         Notices: what could not be drawn, and why.
     """
-    with noting() as notices:
+    with collect_notices() as notices:
         text = attempt(
             "scene.html", lambda: scene_page(scene(outcome)), lambda notice: empty_page("Calibration scene", notice)
         )
@@ -127,7 +127,9 @@ def write_scene(outcome: Outcome, path: Path) -> tuple[str, ...]:
 
 
 def scene_page(scene: Scene) -> str:
-    """The page of a scene; visuals of the robot that cannot be drawn are noted (:func:`aridcal.pages.drawing.html.noting`).
+    """The page of a scene; visuals of the robot that cannot be drawn are noted.
+
+    See :func:`aridcal.pages.drawing.html.collect_notices`.
 
     Args:
         scene: At least one row and one stage.
@@ -374,13 +376,13 @@ def scene(outcome: Outcome) -> Scene:
     """Collect what the picture shows: nominal and calibrated robot, measured targets, and every stage's prediction."""
     fit, m, robot = outcome.stage("final").fit, outcome.measurements, outcome.robot
     as_read = m.as_read  # they are stepped through as they stand in the files
-    some, left_out = thinned(outcome.outlier[as_read])
+    some, left_out = drawn_rows(outcome.outlier[as_read])
     rows = as_read[some]
     station, target = (None if labels is None else labels[rows] for labels in (m.labels.station, m.labels.target))
     conditions = {name: values[rows] for name, values in m.conditions.items()}
     world = fit.model.rows(m.readings[rows], conditions, station, target).world
     bases = np.array([frame.homogeneous for _, frame in fit.model.world_base])
-    calibrated = same_chain(robot, stage_urdf(outcome.stage("geometric").fit))
+    calibrated = chain_in_urdf(robot, stage_urdf(outcome.stage("geometric").fit))
     # Where a path starts at a link, that link's frame is the world of its rows.
     route = None if m.labels.route is None else m.labels.route[rows]
     R, p, linked = start_frames(calibrated, m.readings[rows], m.labels.routes, route)

@@ -18,10 +18,10 @@ from aridcal.engine.trust.certainty import Certainty
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE, ToleranceAnswer
 from aridcal.files.purposes import About
 from aridcal.jobs.calibrate.controllers import ControllerExports
-from aridcal.jobs.calibrate.instrument_results import known_scale, scale_std
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma, scale_std
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.system.errors import printable, shortened
-from aridcal.system.wording import SHOWN_UNIT, enumerated, fixed, number, plus_minus, shown_in
+from aridcal.system.wording import SHOWN_UNIT, enumeration, fixed, number, plus_minus, shown_unit
 
 # Correlation of two columns from which the reader is told: beyond it less than 1 - 0.8^2 = 36 % of the variance of
 # one is its own.
@@ -52,14 +52,14 @@ LONGEST_NAME = 40
 """Characters of a name from a file that are shown beside what users state."""
 
 
-def named(name: str) -> str:
+def printable_name(name: str) -> str:
     """A name from a file, fit to be shown."""
     return shortened(printable(name), LONGEST_NAME)
 
 
-def who_and_what(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
+def certificate_subject(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
     """Which robot was measured with what, by whom and when: names and what they are."""
-    yield "Robot", about.robot or named(robot.tree.name)
+    yield "Robot", about.robot or printable_name(robot.tree.name)
     yield "Serial number", about.serial_number or NOT_STATED
     serial = f", serial number {about.instrument_serial}" if about.instrument_serial else ""
     yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
@@ -79,7 +79,7 @@ def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -
     """A multiple of one value for each channel, shape (C,), in words: ``0.1 mm and 0.2 mrad``; nothing of those with NaN."""
     sigmas = [(c, float(s)) for c, s in zip(channels, sigma, strict=True) if not (c.inner or math.isnan(s))]
     shown = [f"{number(times * c.scale * s)} {c.shown}" for c, s in sigmas]
-    return enumerated(shown)
+    return enumeration(shown)
 
 
 NOT_FOR_A_CONTROLLER = (
@@ -133,7 +133,7 @@ def per_number(outcome: Outcome) -> str:
 def scale_in_words(outcome: Outcome) -> tuple[str, ...]:
     """How well the scale is known, where no instrument measures lengths itself; empty where one does."""
     m = outcome.measurements
-    sigma = known_scale(m)
+    sigma = known_scale_sigma(m)
     if sigma is None:
         return ("scale: none of these rows measures a length or a place; the arm's lengths stay nominal",)
     if np.isinf(sigma):
@@ -164,7 +164,7 @@ def next_command(outcome: Outcome, handover: ControllerExports, folder: str) -> 
     return f"aridcal compensate {folder} program.{ending} -o corrected.{ending}{limb}"
 
 
-def kept_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
+def tolerance_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
     """What the region keeps within, of the position and of the rotation: whether that is good, and the sentence.
 
     Args:
@@ -206,7 +206,7 @@ def causes_in_words(outcome: Outcome) -> str:
     joints = [c for c in further if c.kind == "joint"]
     said = [_joints_that_scatter(joints, outcome.channels)] if joints else []
     for c in further:
-        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+        unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_unit(c.unit)
         value = plus_minus(times * c.value, times * c.std)
         if c.kind == "range":
             said.append(f"The {c.name} noise grows by {value} {unit} from the origin of the world frame.")
@@ -232,7 +232,7 @@ GROWS = {0: "", 1: ", and in proportion to the distance", 2: ", and by the squar
 
 def _noise_of_shape(c: NoiseCause, shape: NoiseShape) -> str:
     """What lies along something, with its size and what it is likely to be."""
-    unit, times = shown_in(c.unit)
+    unit, times = shown_unit(c.unit)
     size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
     if shape.kind == "lever":
         assert shape.vector is not None
@@ -266,7 +266,7 @@ def _said_shortly(c: NoiseCause) -> str:
     """One cause with its size."""
     if c.shape is not None:
         return _noise_of_shape(c, c.shape)
-    unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_in(c.unit)
+    unit, times = ("mm per m", 1e3) if c.unit == "m/m" else shown_unit(c.unit)
     size = f"{plus_minus(times * c.value, times * c.std)} {unit}"
     of = {
         "joint": f"the reading of {c.name}",
@@ -285,7 +285,8 @@ def _joints_that_scatter(joints: Sequence[NoiseCause], channels: Channels) -> st
     for c in joints:
         alike.setdefault((c.value, c.std, c.unit), []).append(c)
     readings = [
-        f"{enumerated([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} {SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
+        f"{enumeration([c.name for c in own])} ({plus_minus(1e3 * value, 1e3 * std)} "
+        f"{SHOWN_UNIT[unit]}{' each' * (len(own) > 1)})"
         for (value, std, unit), own in alike.items()
     ]
     rivals = list({(r.kind, r.name): r for c in joints for r in c.rivals}.values())

@@ -12,7 +12,7 @@ from aridcal.engine.corrections.catalogue import KINDS, is_of_head
 from aridcal.engine.fit.noise import WORTH_SAYING
 from aridcal.engine.search.noise_tests import Clue
 from aridcal.files.purposes import About
-from aridcal.jobs.calibrate.instrument_results import known_scale
+from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.joint_zeros import joint_zeros
 from aridcal.jobs.calibrate.key_figures import (
     LEAST_HELD_OUT,
@@ -20,7 +20,6 @@ from aridcal.jobs.calibrate.key_figures import (
     PLUS,
     QUESTIONABLE_OUTLIERS,
     ModelStep,
-    another_day,
     constants,
     every_held_out_row,
     final_halves,
@@ -34,6 +33,7 @@ from aridcal.jobs.calibrate.key_figures import (
     sigma_and_error,
     squared,
     steps,
+    verification_agreement,
 )
 from aridcal.jobs.calibrate.outcome import Outcome, errors, leading
 from aridcal.jobs.calibrate.verdict import VERDICTS
@@ -45,15 +45,15 @@ from aridcal.pages.drawing.words import (
     NOT_STATED,
     at_target_in_words,
     causes_in_words,
-    kept_in_words,
+    certificate_subject,
     noise_in_words,
     noise_unknown_in_words,
     per_number,
     scale_in_words,
     sigmas_in_words,
-    who_and_what,
+    tolerance_in_words,
 )
-from aridcal.system.wording import counted, number
+from aridcal.system.wording import number, plural
 
 NO_BETTER = " No model can reliably do better."
 BELOW = (
@@ -97,7 +97,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
     """
     m, robot = outcome.measurements, outcome.robot
     files = ", ".join(path.name for path in m.origin.files)
-    rows = f"{counted(len(m), 'row')}, {m.test.sum():,} of them held out"
+    rows = f"{plural(len(m), 'row')}, {m.test.sum():,} of them held out"
     yield tag("h1", f"Calibration of {robot.tree.name}")
     yield tag("p", f"{files} · {rows} · {robot.path.name}, {robot.from_to}", class_="about")
     yield tag("p", list(_who_and_what(outcome)), class_="about")
@@ -114,9 +114,9 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
         yield tag("p", "In this folder: ", links[1:], class_="about")
     cards = [_card(outcome, k) for k in judged_channels(outcome)]
     yield tag("div", cards, _other_day(outcome), class_="cards")
-    for good, words in kept_in_words(outcome, asked=True):
+    for good, words in tolerance_in_words(outcome, asked=True):
         yield tag("p", tag("strong", words), class_="good" if good else "look")
-    other_day = another_day(outcome)  # has a card of its own
+    other_day = verification_agreement(outcome)  # has a card of its own
     checked = [_check(good, words) for good, words in checks(outcome) if (good, words) != other_day]
     yield tag(
         "div",
@@ -130,7 +130,7 @@ def summary(outcome: Outcome, beside: Collection[str] = frozenset()) -> Iterator
 def _who_and_what(outcome: Outcome) -> Iterator[Content]:
     """Robot, serial number, instrument, who and when, as far as the campaign states them."""
     about = outcome.campaign.about or About()
-    facts = dict(who_and_what(about, outcome.robot, outcome.measurements))
+    facts = dict(certificate_subject(about, outcome.robot, outcome.measurements))
     if not about.robot:
         del facts["Robot"]  # its name is the title
     stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
@@ -187,7 +187,7 @@ def in_controller(outcome: Outcome, k: int) -> str:
 
 def _other_day(outcome: Outcome) -> Content:
     """A card on another day's rows; nothing where there are none."""
-    verification, said = outcome.verification, another_day(outcome)
+    verification, said = outcome.verification, verification_agreement(outcome)
     if verification is None or said is None:
         return ""
     rows = verification.measurements
@@ -274,7 +274,7 @@ def _shares_in_words(
         yield _percent(share), who
     rest = [share for _, share in shares[MOST_CAUSES:]]
     if rest:
-        yield _percent(sum(rest)), counted(len(rest), "further correction")
+        yield _percent(sum(rest)), plural(len(rest), "further correction")
 
 
 def _corrections_in_words(count: int) -> str:
@@ -338,9 +338,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
     """What speaks for the result (True) and what should be looked at first (False)."""
     yield from _row_checks(outcome)
     yield from _fit_checks(outcome)
-    yield from kept_in_words(outcome, asked=False)
+    yield from tolerance_in_words(outcome, asked=False)
     for sentence in scale_in_words(outcome):
-        yield known_scale(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
+        yield known_scale_sigma(outcome.measurements) not in (None, math.inf), f"{sentence[0].upper()}{sentence[1:]}."
     sigma_beside_error = None if outcome.measurements.direct else sigma_and_error(outcome)
     if sigma_beside_error is not None:
         sigma, error = sigma_beside_error
@@ -350,7 +350,7 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
             else f" The rows agree to {number(error, 2)} mm there: that is consistency, not accuracy."
         )
         yield sigma < error, f"The target is known to ± {number(sigma, 2)} mm (1σ in its worst direction).{more}"
-    verified = another_day(outcome)
+    verified = verification_agreement(outcome)
     if verified is not None:
         yield verified
     narrow = [j.name for j in narrow_joints(outcome)]
@@ -371,14 +371,20 @@ def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         if over_time(outcome):
             yield True, f"{over_time(outcome).capitalize()}."
         if 0 < held_out < LEAST_HELD_OUT:
-            yield False, f"Checked on {counted(held_out, 'held-out row')} only."
+            yield False, f"Checked on {plural(held_out, 'held-out row')} only."
     else:
         yield False, "No rows were held out: the errors above are those of the fit itself, and too optimistic."
     flagged, refused = int(outcome.outlier.sum()), len(m.origin.refused)
-    yield flagged <= QUESTIONABLE_OUTLIERS * len(m), f"{counted(flagged, 'outlier')} in {counted(len(m), 'row')}."
+    yield (
+        flagged <= QUESTIONABLE_OUTLIERS * len(m),
+        f"{plural(flagged, 'outlier')} in {plural(len(m), 'row')}.",
+    )
     if refused:
         read = len(m) + refused
-        yield refused <= QUESTIONABLE_OUTLIERS * read, f"{refused:,} of {counted(read, 'row')} could not be used."
+        yield (
+            refused <= QUESTIONABLE_OUTLIERS * read,
+            f"{refused:,} of {plural(read, 'row')} could not be used.",
+        )
 
 
 def _fit_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:

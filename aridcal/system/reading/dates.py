@@ -100,7 +100,7 @@ def unrolled(clock: np.ndarray, of_day: bool) -> np.ndarray | None:
     return None if nights else clock
 
 
-def of_the_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
+def times_of_day(clock: np.ndarray, low: float, high: float) -> np.ndarray:
     """Times of day, shape (N,), as those between two others count that pass midnight."""
     after = (clock >= 0.0) & (clock < low) & (clock + DAY <= high)
     return np.where((low < DAY <= high < low + DAY) & after, clock + DAY, clock)

@@ -56,7 +56,7 @@ def as_numbers(column: pa.ChunkedArray, dialect: Dialect) -> pa.ChunkedArray:
     return pc.if_else(number, plain, words)
 
 
-def several(cell: str, dialect: Dialect) -> list[str]:
+def numbers_in_list(cell: str, dialect: Dialect) -> list[str]:
     """The numbers in a cell that holds a list, with points."""
     if dialect.decimal != ".":
         cell = cell.replace(dialect.decimal, ".")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aridcal.system.errors import AridcalError, printable, shortened
-from aridcal.system.reading.user_names import LONGEST_NAME, why
+from aridcal.system.reading.user_names import LONGEST_NAME, reason_of
 
 MEGA = 1e6
 
@@ -79,7 +79,7 @@ def read_file(path: Path, error: type[AridcalError], limit: Limit) -> bytes:
     except FileNotFoundError:
         raise error(f"{name}: there is no such file; check its name") from None
     except (OSError, ValueError) as problem:
-        raise error(f"{name}: cannot be read: {why(problem)}; check the file and who may read it") from None
+        raise error(f"{name}: cannot be read: {reason_of(problem)}; check the file and who may read it") from None
     if len(content) > status.st_size:
         raise error(f"{name}: grew while it was read: wait until it is complete")
     if not content or content.isspace():

@@ -214,10 +214,10 @@ def read_csv(content: bytes, path: Path, limit: Limit) -> FileCells:
     if not re.search(rb"\n\s*\S", text):
         check_header(header, path)
         raise MeasurementError(f"{path}: {NO_ROWS}")
-    return below(text, header, path, limit)
+    return read_below_header(text, header, path, limit)
 
 
-def below(text: bytes, header: list[str], path: Path, limit: Limit, separator: str = ",") -> FileCells:
+def read_below_header(text: bytes, header: list[str], path: Path, limit: Limit, separator: str = ",") -> FileCells:
     """Read the rows below the first line as text cells.
 
     Args:

@@ -12,7 +12,7 @@ from datetime import date, datetime, time, timedelta
 from pathlib import Path
 from typing import IO, Any
 
-from aridcal.system.errors import MeasurementError, listed, nearest, printable, shortened
+from aridcal.system.errors import MeasurementError, name_list, nearest, printable, shortened
 from aridcal.system.reading.regular_files import MEGA, Limit
 from aridcal.system.reading.table_files import MOST_COLUMNS
 
@@ -85,7 +85,7 @@ def as_csv(content: bytes, path: Path, limit: Limit, sheet: str, decimal: str) -
         raise MeasurementError(f"{path}: has no sheet {shortened(sheet)!r}{nearest(sheet, names)}; see `table.sheet`")
     if not sheet and len(names) != 1:
         raise MeasurementError(
-            f"{path}: has the sheets {listed(names)}; say which under measurements: `table: {{sheet: …}}`"
+            f"{path}: has the sheets {name_list(names)}; say which under measurements: `table: {{sheet: …}}`"
         )
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

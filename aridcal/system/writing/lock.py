@@ -27,7 +27,7 @@ def is_mine(lock: Path) -> bool:
 
 
 @contextmanager
-def held(lock: Path, path: Path) -> Iterator[None]:
+def hold_lock(lock: Path, path: Path) -> Iterator[None]:
     """Hold a lock until the block ends; its file is gone afterwards.
 
     Args:

@@ -16,8 +16,8 @@ from pathlib import Path
 
 from aridcal.system.errors import OutputError
 from aridcal.system.writing import disk
-from aridcal.system.writing.lock import held, is_mine
-from aridcal.system.writing.signals import undisturbed
+from aridcal.system.writing.lock import hold_lock, is_mine
+from aridcal.system.writing.signals import defer_signals
 
 OURS, LOCK = ".aridcal-", "lock"
 """In the names of what is beside an output only while it is written: ``.results.aridcal-lock``, ``.results.aridcal-1f0c9a2b``."""
@@ -70,9 +70,9 @@ class _Plan:
 @contextmanager
 def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
     """A folder to build in, on the file system of the target; when the block ends, it is settled and gone."""
-    stage = home / f"{hidden(target)}{secrets.token_hex(4)}"
+    stage = home / f"{hidden_prefix(target)}{secrets.token_hex(4)}"
     try:
-        with named(path):
+        with errors_named(path):
             disk.make_folder(stage)
         yield stage
     except OSError as error:
@@ -81,7 +81,7 @@ def staged(target: Path, home: Path, path: Path) -> Iterator[Path]:
             raise _cannot_write(path, error) from error
         raise
     finally:
-        with undisturbed(), suppress(OSError):  # what cannot be settled now is left to the next run
+        with defer_signals(), suppress(OSError):  # what cannot be settled now is left to the next run
             _settle(stage)
 
 
@@ -113,7 +113,7 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
     version = f"{target.name[:NAME_SHOWN]}-{secrets.token_hex(4)}"
     before = str(target.readlink()) if target.is_symlink() else ""
     plan = _Plan(os.path.relpath(target, stage.parent), arriving, stale, swap, first, version, before)
-    with undisturbed():
+    with defer_signals():
         disk.write(stage / PLAN, json.dumps(asdict(plan)))
         disk.sync(stage)
         if swap:
@@ -127,7 +127,7 @@ def put_in_place(stage: Path, target: Path, replaces: Collection[str], swap: boo
 
 def _share_others(target: Path, new: Path, names: Collection[str]) -> bool:
     """Give the new folder whatever else the old one holds; False, and nothing, if that cannot be."""
-    other_names = others_than(target, names)
+    other_names = names_besides(target, names)
     try:
         for name in other_names:
             disk.share(target / name, new / name)
@@ -205,7 +205,7 @@ def _settle_swap(plan: _Plan, stage: Path, target: Path) -> None:
         out.append(target.parent / plan.before)
     for folder in out:
         if folder.is_dir() and target.is_dir():
-            for name in others_than(folder, [*plan.arriving, *plan.stale]):
+            for name in names_besides(folder, [*plan.arriving, *plan.stale]):
                 if not os.path.lexists(target / name):
                     disk.rename(folder / name, target / name)
     for folder in out[2:]:
@@ -238,7 +238,7 @@ def clear_up(folder: Path, current: Path) -> None:
         lock = folder / f"{stem}{OURS}{LOCK}"
         if lock != current and is_mine(lock):
             continue
-        with suppress(OutputError, OSError), nullcontext() if lock == current else held(lock, lock):
+        with suppress(OutputError, OSError), nullcontext() if lock == current else hold_lock(lock, lock):
             for name in entries:
                 if name.startswith(f"{stem}{OURS}") and name != lock.name:
                     _settle(folder / name)
@@ -254,7 +254,7 @@ def can_be_swapped(target: Path, names: Collection[str]) -> bool:
         if Path.cwd().is_relative_to(os.path.realpath(target)):
             return False
     count = 0
-    for name in others_than(target, names):
+    for name in names_besides(target, names):
         inside = (entry for _, folders, files in os.walk(target / name) for entry in (*folders, *files))
         for entry in chain([name], inside):
             count += 1
@@ -275,7 +275,7 @@ def _is_mount_point(folder: Path) -> bool:
     return str(folder) in {re.sub(r"\\(\d{3})", lambda octal: chr(int(octal[1], 8)), point) for point in points}
 
 
-def others_than(folder: Path, names: Collection[str]) -> list[str]:
+def names_besides(folder: Path, names: Collection[str]) -> list[str]:
     """Names in a folder that are none of these."""
     return sorted({entry.name for entry in os.scandir(folder)}.difference(names))
 
@@ -302,13 +302,13 @@ def home_of(target: Path) -> Path:
     return target.parent if os.access(target.parent, os.W_OK | os.X_OK) or not target.is_dir() else target
 
 
-def hidden(target: Path) -> str:
+def hidden_prefix(target: Path) -> str:
     """How the names of all that is beside an output begin."""
     return f".{target.name[:NAME_SHOWN]}{OURS}"
 
 
 @contextmanager
-def named(path: Path) -> Iterator[None]:
+def errors_named(path: Path) -> Iterator[None]:
     """An error of the system inside the block becomes one that names the output."""
     try:
         yield

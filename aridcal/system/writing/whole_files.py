@@ -13,8 +13,8 @@ from typing import Literal
 
 from aridcal.system.errors import OutputError
 from aridcal.system.writing import disk
-from aridcal.system.writing.lock import held, is_mine
-from aridcal.system.writing.signals import undisturbed
+from aridcal.system.writing.lock import hold_lock, is_mine
+from aridcal.system.writing.signals import defer_signals
 from aridcal.system.writing.staging import (
     LOCK,
     NAME_SHOWN,
@@ -22,9 +22,9 @@ from aridcal.system.writing.staging import (
     can_be_swapped,
     check_names,
     clear_up,
-    hidden,
+    errors_named,
+    hidden_prefix,
     home_of,
-    named,
     put_in_place,
     staged,
 )
@@ -45,7 +45,7 @@ def check_writable(path: Path, kind: OutputKind | None = None) -> None:
     Raises:
         OutputError: naming the path and what is in the way.
     """
-    with named(path):
+    with errors_named(path):
         if kind is not None and path.exists() and path.is_dir() != (kind == "folder"):
             raise OutputError(
                 f"{path}: is a {'file' if kind == 'folder' else 'folder'}, not a {kind}; give another name"
@@ -66,7 +66,7 @@ def check_home(path: Path) -> None:
     Raises:
         OutputError: naming the folder that is missing.
     """
-    with named(path):
+    with errors_named(path):
         missing = not path.parent.exists()
     if missing:
         raise OutputError(f"{path}: cannot be written: there is no folder {path.parent}; make it, or mend the path")
@@ -90,15 +90,15 @@ def claimed(path: Path, kind: OutputKind, names: Collection[str] = (), folders: 
     check_writable(path, kind)
     parents: list[Path] = []
     with ExitStack() as ends:
-        with named(path):
+        with errors_named(path):
             target = _place(path) if kind == "folder" else Path(os.path.realpath(path))
             parents += [parent for parent in (target.parent, *target.parent.parents) if not parent.exists()]
             ends.callback(_remove_empty, parents)
             target.parent.mkdir(parents=True, exist_ok=True)
-            with undisturbed():
-                lock = home_of(target) / f"{hidden(target)}{LOCK}"
+            with defer_signals():
+                lock = home_of(target) / f"{hidden_prefix(target)}{LOCK}"
                 if not is_mine(lock):
-                    ends.enter_context(held(lock, path))
+                    ends.enter_context(hold_lock(lock, path))
                     clear_up(home_of(target), lock)
                     clear_up(target, lock)
             if kind == "folder":
@@ -139,11 +139,11 @@ def atomic_file(path: Path) -> Iterator[Path]:
         with staged(target, target.parent, path) as stage:
             built = stage / target.name
             yield built
-            with named(path):
+            with errors_named(path):
                 if target.exists():
                     disk.keep_mode(target, built)
                 disk.sync(built)
-                with undisturbed():
+                with defer_signals():
                     disk.rename(built, target)
                     disk.sync(target.parent)
 
@@ -198,10 +198,10 @@ def atomic_table(path: Path, beside: Sequence[str]) -> Iterator[Path]:
 def _built(target: Path, path: Path, swap: bool, replaces: Collection[str], first: str = "") -> Iterator[Path]:
     """An empty folder; what is written into it is put in its place."""
     with staged(target, home_of(target) if swap else target, path) as stage:
-        with named(path):
+        with errors_named(path):
             disk.make_folder(stage / NEW)
         yield stage / NEW
-        with named(path):
+        with errors_named(path):
             put_in_place(stage, target, replaces, swap, first)
 
 

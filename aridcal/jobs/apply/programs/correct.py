@@ -24,7 +24,7 @@ from aridcal.engine.rows.approach import approach
 from aridcal.files.query import QueryRows
 from aridcal.jobs.apply.joint_commands import LEAST_MOTION
 from aridcal.jobs.apply.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
-from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, uncorrected
+from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, no_corrections
 from aridcal.jobs.apply.programs.notations import inverse
 from aridcal.jobs.apply.programs.targets import Notation, PoseReference, Target
 from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
@@ -334,7 +334,7 @@ class _Walk:
 
     def go(self, targets: Sequence[Target]) -> Corrections:
         """Correct some more targets."""
-        found = uncorrected(targets)
+        found = no_corrections(targets)
         plain = np.array([k for k, target in enumerate(targets) if not target.why or _passes(target)], dtype=int)
         if len(plain):
             own = [targets[k] for k in plain.tolist()]

@@ -139,7 +139,7 @@ def _changes(target: Target, texts: str, words: str) -> Iterator[TextChange]:
         yield TextChange(target.file, stated.numbers, words)
 
 
-def uncorrected(targets: Sequence[Target]) -> Corrections:
+def no_corrections(targets: Sequence[Target]) -> Corrections:
     """Targets of which none is corrected, each with its own reason, if any: to be filled in."""
     n = len(targets)
     moved, before, after = (np.full((n, 2), np.nan) for _ in range(3))

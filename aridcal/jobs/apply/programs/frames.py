@@ -188,6 +188,6 @@ def absent(name: str) -> str:
     return f"{name} is in no given file, and may change frames and points: give its file, or state it as `harmless` in --frames"
 
 
-def unknown(kind: str, name: str) -> str:
+def unknown_frame(kind: str, name: str) -> str:
     """Why a target in a frame that only the controller has is left as it is."""
     return f"{kind} {name} is not in the program: state it with --frames"

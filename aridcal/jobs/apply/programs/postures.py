@@ -158,7 +158,7 @@ def _words(numbers: Sequence[Number], rules: tuple[Rule, ...], written: str, cel
     return Words(own, Posture(own, rules, cell.axes, cell.anatomy), written)
 
 
-def unread(language: str, cell: Cell) -> str:
+def unread_words(language: str, cell: Cell) -> str:
     """What of a language's words is kept because this arm's geometry does not say what it means; empty if nothing.
 
     Args:

@@ -86,7 +86,7 @@ class ExpectedTargets:
         return f"line {self.lines[k]}, {self.names.split(NUL)[k]}"
 
 
-def meant(targets: Sequence[Target]) -> list[ExpectedTargets]:
+def expected_targets(targets: Sequence[Target]) -> list[ExpectedTargets]:
     """What targets say, some thousand at a time."""
     same: dict[object, Any] = {}  # one of all that are equal
     return [_meant(targets[first : first + AT_ONCE], same) for first in range(0, len(targets), AT_ONCE)]
@@ -134,13 +134,13 @@ def corrected(
     again, count = language.read(project.with_texts(texts), cell).targets, sum(map(len, said))
     if len(again) != count:
         raise ProofFailure(f"{count} targets were read, of the new text {len(again)}")
-    for before, after in zip(said, meant(again), strict=True):
+    for before, after in zip(said, expected_targets(again), strict=True):
         _check(before, after)
         _check_numbers(before, after, edited)
     return tuple(texts)
 
 
-def edited(project: Project, changes: Iterable[TextChange]) -> list[EditedText]:
+def edit_texts(project: Project, changes: Iterable[TextChange]) -> list[EditedText]:
     """The text of each file with other numbers, if each has a place of its own and all between is as it was.
 
     Raises:

@@ -22,7 +22,7 @@ from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import language_of
 from aridcal.jobs.apply.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
-from aridcal.jobs.apply.programs.proof import TextChange, corrected, edited, meant
+from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.read_project import LoadedProject, read_project
 from aridcal.jobs.apply.programs.text import Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, calibration_file
@@ -202,8 +202,8 @@ def _corrected(
     hint = _zeros_hint(corrections, cell, language)
     progress.at("reading the new program")
     marks = _marks(language, opened, corrections.files(), content)
-    new = edited(opened.project, chain(corrections.changes(), marks))
-    said, notes, corrections = meant(reading.targets), reading.notes, corrections.named(())
+    new = edit_texts(opened.project, chain(corrections.changes(), marks))
+    said, notes, corrections = expected_targets(reading.targets), reading.notes, corrections.named(())
     del reading, targets, marks  # a long program has too many to keep them while the new text is read
     gc.collect()  # of what was made of the text some parts hold each other
     give_back()

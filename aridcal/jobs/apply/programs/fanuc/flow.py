@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, Place, own_group, short
+from aridcal.jobs.apply.programs.fanuc.actions import Action, Fields, Options, Place, robot_group, short
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Instruction, Listing, plain
 from aridcal.jobs.apply.programs.fanuc.table import CHANGES, HARMLESS, INDEX, MODES, MOVE, OPTIONS, PLACE, Option
 from aridcal.jobs.apply.programs.uses import ANY
@@ -303,7 +303,7 @@ class _Reader:
             if match is not None:
                 fields = _fields(match)
                 if does in ("frame", "tool"):
-                    index = own_group(match.group("index"))
+                    index = robot_group(match.group("index"))
                     if index is None:
                         return None
                     self.flow.writes.append((does, int(index) if short(index) else ANY, start))

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from aridcal.jobs.apply.programs.callers import named, reached, routine_of, uncalled
+from aridcal.jobs.apply.programs.callers import called_program, reachable_programs, routine_of, uncalled_programs
 from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.fanuc.actions import actions
 from aridcal.jobs.apply.programs.fanuc.controller import read_frames_of_controller
@@ -65,9 +65,12 @@ def _walked(
     flows: Sequence[Flow],
     ours: Mapping[int, bool],
 ) -> ProgramReading:
-    names, calls = named([listing.name for listing in listings], ours), [(*flow.calls, *flow.tasks) for flow in flows]
-    spoken = reached([k for k in ours if ours[k]], calls, names)
-    above = [k for k in ours if not ours[k] and reached([k], calls, names) & spoken and k not in spoken]
+    names, calls = (
+        called_program([listing.name for listing in listings], ours),
+        [(*flow.calls, *flow.tasks) for flow in flows],
+    )
+    spoken = reachable_programs([k for k in ours if ours[k]], calls, names)
+    above = [k for k in ours if not ours[k] and reachable_programs([k], calls, names) & spoken and k not in spoken]
     walked = [k for k in ours if k in spoken or k in above]
     given, notes = _given(project, cell, codes)
     meaning = Meaning(listings, flows, codes, ours, spoken, given, cell)
@@ -80,7 +83,7 @@ def _walked(
         state.volatile(
             _writes(name, flows, names, meaning, state), f"{name} runs beside the program, and may change it"
         )
-    for k in uncalled(walked, [flow.calls for flow in flows], names):
+    for k in uncalled_programs(walked, [flow.calls for flow in flows], names):
         walk.enter(routine_of(names, k), ProgramState(state))
     for k in walked:
         if routine_of(names, k) not in walk.reached:
@@ -96,7 +99,7 @@ def _writes(
 ) -> list[tuple[str, Hashable]]:
     """All that a program may change that runs beside others, wherever it is: it may never end, or be stopped at any line."""
     calls = [(*flow.calls, *flow.tasks) for flow in flows]
-    own_and_called = reached([names[name]], calls, names) if name in names else frozenset()
+    own_and_called = reachable_programs([names[name]], calls, names) if name in names else frozenset()
     keys: dict[tuple[str, Hashable], None] = {}
     for own in (name, *(own for k in own_and_called for own in calls[k])):
         if own not in names:

@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.fanuc.actions import Action, Place, own_group, short
+from aridcal.jobs.apply.programs.fanuc.actions import Action, Place, robot_group, short
 from aridcal.jobs.apply.programs.fanuc.flow import Flow
 from aridcal.jobs.apply.programs.fanuc.listing import SHOWN, Listing, Point
 from aridcal.jobs.apply.programs.fanuc.points import Targets
 from aridcal.jobs.apply.programs.fanuc.registers import PLAIN, REGISTER, Register, number_of, sum_of
-from aridcal.jobs.apply.programs.frames import absent, unknown
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.postures import fanuc_words
 from aridcal.jobs.apply.programs.targets import PoseReference, Target, Words
 from aridcal.jobs.apply.programs.text import NONE, Code
@@ -227,7 +227,7 @@ class Meaning:
             state.forget(what.does, None, f"{line} takes it from {what.field('value')[:SHOWN]}")
 
     def _frame(self, what: Action, state: ProgramState, line: str) -> None:
-        index, source = own_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
+        index, source = robot_group(what.field("index")) or "", REGISTER.fullmatch(what.field("value"))
         if not short(index):
             state.forget_family(what.does, f"{line} sets a user {what.does} whose number is worked out")
             return
@@ -246,7 +246,7 @@ class Meaning:
         return flange if isinstance(flange, Frame) else HERE
 
     def _register(self, what: Action, state: ProgramState, line: str) -> None:
-        index = own_group(what.field("index"))
+        index = robot_group(what.field("index"))
         if index is None:
             return
         number, _, element = index.partition(",")
@@ -365,7 +365,7 @@ class Meaning:
             self.assumed.add("world")
             return self._given.world
         value = state.get("frame", int(number))
-        return Unknown(unknown("user frame", number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame("user frame", number)) if value is NEVER_SET else value
 
     def _tool(self, point: Point, state: ProgramState, line: str) -> object:
         number = self._agreed("tool number", "user tool", point.tool, state, line)
@@ -375,7 +375,7 @@ class Meaning:
             self.assumed.add("flange")
             return self._flange
         value = state.get("tool", int(number))
-        return Unknown(unknown("user tool", number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame("user tool", number)) if value is NEVER_SET else value
 
     def _agreed(self, family: str, kind: str, own: str, state: ProgramState, line: str) -> str | Unknown:
         """The number of a point's frame or tool, which must be the active one: else the controller stops there.

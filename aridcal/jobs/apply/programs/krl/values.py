@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from aridcal.jobs.apply.programs.frames import unknown
+from aridcal.jobs.apply.programs.frames import unknown_frame
 from aridcal.jobs.apply.programs.krl import table
 from aridcal.jobs.apply.programs.krl.project_facts import ProjectFacts
 from aridcal.jobs.apply.programs.krl.syntax import Aggregate, Expression, Function, Product, Variable, Word
@@ -112,7 +112,7 @@ class Values:
         name = f"{kind.upper()}_DATA[{n:g}]"
         value = self._get((f"{kind}_data", (n,)), True, state)
         if value is NEVER_SET:
-            return Unknown(unknown(kind, f"{n:g}"))
+            return Unknown(unknown_frame(kind, f"{n:g}"))
         return self._as_frame(value, name)
 
     def _get(self, element: Element, shared: bool, state: ProgramState) -> object:

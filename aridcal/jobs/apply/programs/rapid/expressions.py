@@ -9,7 +9,7 @@ from typing import Literal as OneOf
 
 import numpy as np
 
-from aridcal.jobs.apply.programs.frames import KnownFrames, unknown
+from aridcal.jobs.apply.programs.frames import KnownFrames, unknown_frame
 from aridcal.jobs.apply.programs.rapid.grammar import NAME, fold
 from aridcal.jobs.apply.programs.rapid.names import (
     BARE,
@@ -216,7 +216,7 @@ class Expressions:
             stated = (self.frames.tools if zero == "tool0" else self.frames.bases).get(name)
             if stated is not None:
                 return Constant(Frame(stated))
-            return Constant(HERE if name == zero else Unknown(unknown(kind, text)))
+            return Constant(HERE if name == zero else Unknown(unknown_frame(kind, text)))
         value = self.compile(bound, *span, loops)
         if isinstance(value, Constant):
             return value if isinstance(value.value, Frame) else Constant(convert(text, value.value))

@@ -23,7 +23,7 @@ from aridcal.jobs.apply.programs.rapid.names import (
     calls,
     late,
     matched,
-    named,
+    quoted_name,
 )
 from aridcal.jobs.apply.programs.rapid.points import Targets
 from aridcal.jobs.apply.programs.rapid.table import (
@@ -488,7 +488,7 @@ class Meaning:
         nodes.append(Step(prepared))
         nodes += self._writing(bound, [required[k] for k in move.written if k < len(required)], f"{line} may change it")
         if move.routine is not None and move.routine < len(required):
-            name = named(bound.code, required[move.routine])
+            name = quoted_name(bound.code, required[move.routine])
             key = self.names.routine(bound.module, name)
             nodes.append(self._to_routine(bound, statement, name, key, Arguments(), guarded))
         return nodes
@@ -558,7 +558,7 @@ class Meaning:
         if own.why:
             return {}
         first = own.code.plain.rfind("[", own.start, own.end) + 1
-        return told_outside(own.code.plain[first : own.end], len(self.cell.axes.external))
+        return external_axes(own.code.plain[first : own.end], len(self.cell.axes.external))
 
     def _why_spoilt(self, prepared: _Prepared) -> str:
         return f"{self.names.line(prepared.bound.code, prepared.start)} works out another place from it"
@@ -739,7 +739,7 @@ class Meaning:
 
 
 @lru_cache(maxsize=64)
-def told_outside(text: str, own: int) -> Mapping[int, float]:
+def external_axes(text: str, own: int) -> Mapping[int, float]:
     """Places of external axes in a target's last brackets, but for those of the robot's own, by their index, zeros last."""
     texts = text.rstrip("] \t\r\n").split(",")
     places = [(k, float(place)) for k, place in enumerate(texts) if k >= own]

@@ -345,7 +345,7 @@ class Names:
                     self._change_span(bound, given.required[k], why)
             routine = MOVES[name].routine
             if routine is not None and routine < len(given.required):
-                self._look_at_named(bound, named(bound.code, given.required[routine]), why)
+                self._look_at_named(bound, quoted_name(bound.code, given.required[routine]), why)
         if name in MODES and MODES[name][1] != "default":
             self.stepped.add(MODES[name][0])
         if name in WILD:
@@ -471,7 +471,7 @@ def late(code: Code, statement: Statement) -> tuple[str, int, bool]:
     return (fold(text) if whole or match.group(1) else ""), end + 1, whole
 
 
-def named(code: Code, span: tuple[int, int]) -> str:
+def quoted_name(code: Code, span: tuple[int, int]) -> str:
     """The name that a text in quotes says, in small letters; empty where it is worked out."""
     text = code.text[slice(*span)].strip()
     plain = len(text) > 2 and text[0] == text[-1] == '"' and text.count('"') == 2

@@ -11,7 +11,7 @@ from typing import Literal as Literal_
 import numpy as np
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.frames import absent, unknown
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.notations import UR, inverse
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
@@ -159,7 +159,7 @@ class Meaning:
         """The state where a program begins."""
         state = ProgramState()
         tool = self._cell.frames.tools.get(DEFAULT)
-        state.set("tool", None, Frame(tool) if tool is not None else Unknown(unknown("the tool", DEFAULT)))
+        state.set("tool", None, Frame(tool) if tool is not None else Unknown(unknown_frame("the tool", DEFAULT)))
         state.set("stance", None, True if self._cell.start else Unknown(UNTOLD))
         state.set("rest", None, 0)
         for mode in SWITCHED:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.frames import absent, unknown
+from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.targets import PoseReference, Target
 from aridcal.jobs.apply.programs.text import NONE, Code
 from aridcal.jobs.apply.programs.uses import ANY, Frame, Ledger, Use, line_name
@@ -321,4 +321,4 @@ class Meaning:
 
     def _numbered(self, family: str, kind: str, number: str, state: ProgramState) -> object:
         value = state.get(family, int(number))
-        return Unknown(unknown(kind, number)) if value is NEVER_SET else value
+        return Unknown(unknown_frame(kind, number)) if value is NEVER_SET else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from aridcal.jobs.apply.programs.callers import named, reached, routine_of, uncalled
+from aridcal.jobs.apply.programs.callers import called_program, reachable_programs, routine_of, uncalled_programs
 from aridcal.jobs.apply.programs.cell import Cell, ProgramReading
 from aridcal.jobs.apply.programs.frames import frames_set, joined_frames
 from aridcal.jobs.apply.programs.project import Project
@@ -67,9 +67,9 @@ def _walked(
     notes: tuple[str, ...],
 ) -> ProgramReading:
     flows = [read_flow(k, job) for k, job in enumerate(jobs)]
-    names, calls = named([job.name for job in jobs], ours), [flow.calls for flow in flows]
-    spoken = reached([k for k in ours if ours[k]], calls, names)
-    above = [k for k in ours if not ours[k] and reached([k], calls, names) & spoken and k not in spoken]
+    names, calls = called_program([job.name for job in jobs], ours), [flow.calls for flow in flows]
+    spoken = reachable_programs([k for k in ours if ours[k]], calls, names)
+    above = [k for k in ours if not ours[k] and reachable_programs([k], calls, names) & spoken and k not in spoken]
     walked = [k for k in ours if k in spoken or k in above]
     meaning = Meaning(jobs, flows, codes, ours, spoken, frozenset(walked), given, cell)
     walk = Walk({routine_of(names, k): flows[k].body for k in walked}, meaning)
@@ -77,7 +77,7 @@ def _walked(
     writes = [flow.writes for flow in flows]
     own_codes = [job.code for job in jobs]
     meaning.begin(state, frames_set(own_codes, writes, frozenset(walked), cell.frames, codes))
-    for k in uncalled(walked, calls, names):
+    for k in uncalled_programs(walked, calls, names):
         walk.enter(routine_of(names, k), ProgramState(state))
     for k in walked:
         if routine_of(names, k) not in walk.reached:
