@@ -26,7 +26,7 @@ from aridcal.jobs.calibrate.pipeline import score
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.jobs.calibrate.verdict import NOISE_UNKNOWN, VERDICTS
 from aridcal.pages.drawing.html import tag
-from aridcal.pages.drawing.notebook_tables import DECIMALS, Verified, headline
+from aridcal.pages.drawing.notebook_tables import ERROR_FORMAT, Verified, headline
 from aridcal.pages.drawing.result_tables import (
     combination_table,
     effect_table,
@@ -302,13 +302,13 @@ class Calibration:
     def __repr__(self) -> str:
         if not self._has_figures:
             return self._title
-        return "\n".join([self._title, self._headline.to_string(float_format=DECIMALS), *self._remarks])
+        return "\n".join([self._title, self._headline.to_string(float_format=ERROR_FORMAT), *self._remarks])
 
     def _repr_html_(self) -> str:
         title = tag("p", tag("b", self._title))
         if not self._has_figures:
             return title
-        table = self._headline.to_html(float_format=DECIMALS, border=0)
+        table = self._headline.to_html(float_format=ERROR_FORMAT, border=0)
         remarks = "".join(tag("div", remark) for remark in self._remarks)
         return f"{title}{table}{remarks}"
 

@@ -61,7 +61,7 @@ from aridcal.system.errors import CampaignError, OutputError, printable
 from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, table_file, write_table
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file, write_table
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def _main(arguments: argparse.Namespace) -> None:
         raise OutputError("several files are for robot programs: give one table of poses")
     if arguments.frames or arguments.at or arguments.start or arguments.zeros:
         raise OutputError("--frames, --at, --start and --zeros are for robot programs: a table has its own columns")
-    if arguments.out.suffix.lower() not in ENDINGS:
+    if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, *arguments.poses])

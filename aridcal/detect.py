@@ -42,12 +42,12 @@ from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
-BESIDE = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
+FILES_BESIDE_MARKS = CAMERA, REFUSED = CAMERA_FILE, "refused.csv"
 """Written beside the table."""
 
-KINDS: Defaults = {**BOARDS, **TAGS}
+MARK_KINDS: Defaults = {**BOARDS, **TAGS}
 
-COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
+MARK_COLUMNS = ("image", "camera", "marker", "u", "v", "shot")
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def joint_rows(path: Path) -> tuple[Table, dict[str, int]]:
     """
     table = read_tables([path])
     table.require(["image"], "It has the name of the image that belongs to each row.")
-    reserved = [name for name in COLUMNS[1:] if name in table.names]
+    reserved = [name for name in MARK_COLUMNS[1:] if name in table.names]
     if reserved:
         raise MeasurementError(
             f"{path}: the columns {name_list(reserved)} are written by this command: rename or delete them"
@@ -167,7 +167,7 @@ def parser() -> CommandParser:
     arguments.add_argument("images", type=path_argument, nargs="+", help="folders of images, or images")
     arguments.add_argument("-o", "--out", type=path_argument, required=True, help="table of corners to write, .csv")
     arguments.add_argument(
-        "--board", choices=list(KINDS), default="charuco", help="what to look for (default: charuco)"
+        "--board", choices=list(MARK_KINDS), default="charuco", help="what to look for (default: charuco)"
     )
     arguments.add_argument("--joints", type=path_argument, metavar="CSV", help="joints of each image, .csv or .parquet")
     arguments.add_argument("--camera", default="eye", help="the camera's name in the table (default: eye)")
@@ -180,17 +180,17 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_name(arguments.camera, "--camera", AridcalError)
-    options = chosen(arguments, arguments.board, KINDS)
+    options = chosen(arguments, arguments.board, MARK_KINDS)
     board = board_of(arguments.board, options)
     assert not isinstance(board, Cube)
     # The numbers of --intrinsics may be in the camera's file beside the table, and are what is written there again.
     check_apart([out, out.with_name(REFUSED)], [arguments.joints, arguments.intrinsics])
-    with claimed_table(out, BESIDE):
+    with claimed_table(out, FILES_BESIDE_MARKS):
         camera = camera_by_name(arguments.intrinsics, arguments.camera) if arguments.intrinsics else None
         stated_text = read_file(arguments.intrinsics, AridcalError, SETTINGS) if camera else b""
         joints = joint_rows(arguments.joints) if arguments.joints else None
         images = listed_images(arguments.images)
-        check_apart([out, *(out.with_name(name) for name in BESIDE)], images.values())
+        check_apart([out, *(out.with_name(name) for name in FILES_BESIDE_MARKS)], images.values())
         if joints is not None and not set(images) & set(joints[1]):
             first = next(iter(images))
             raise MeasurementError(
@@ -236,7 +236,7 @@ def _write(
         table = pd.concat([table, cells.iloc[rows].reset_index(drop=True)], axis=1)
     refused = [(seen.shot[name], name, why) for name, why in seen.refused.items()]
     text = camera_text(camera, lens, seen.size, len(seen.good)) if lens else ""
-    with atomic_table(out, BESIDE) as folder:
+    with atomic_table(out, FILES_BESIDE_MARKS) as folder:
         table.to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(pd.DataFrame(refused, columns=["shot", "image", "why"])).to_csv(folder / REFUSED, index=False)
         if text or stated_text:  # beside the table, where `init` looks for it

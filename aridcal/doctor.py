@@ -49,7 +49,7 @@ ARM = """\
     <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
 </robot>
 """
-TOOL = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
+TOOL_MESH = "v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nf 1 2 3\n"
 SCENARIO = """\
 format: 1
 robot: {urdf: arm.urdf, tip: c}
@@ -159,7 +159,7 @@ def _round_trip() -> Finding:
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         (home / "arm.urdf").write_text(ARM)
-        (home / "tool.obj").write_text(TOOL)
+        (home / "tool.obj").write_text(TOOL_MESH)
         (home / "scenario.yaml").write_text(SCENARIO)
         write_campaign(simulate(load_settings(home / "scenario.yaml", Scenario)), home, home)
         outcome = identify(home / "campaign.yaml")

@@ -64,7 +64,7 @@ SEED_DIGITS = 18
 SHOWN_STATISTICS = ("rms", "p95", "max")
 """Statistics of an error on the screen; of all channels but the first only two, so that the table keeps its width."""
 
-SHOWN_AS = {"rms": "RMS", "p95": "p95", "max": "max"}
+STATISTIC_HEADINGS = {"rms": "RMS", "p95": "p95", "max": "max"}
 
 
 def summary(outcome: Outcome, console: Console) -> None:
@@ -129,7 +129,7 @@ def _error_table(outcome: Outcome) -> Table:
     several = len(outcome.measurements.blocks) > 1
     for channel, key in columns:
         whose = f"{channel.name} " if several else ""
-        table.add_column(f"{whose}{SHOWN_AS[key]}, {channel.shown}", justify="right")
+        table.add_column(f"{whose}{STATISTIC_HEADINGS[key]}, {channel.shown}", justify="right")
     for stage in outcome.stages:
         figures = errors(stage.residual, mask, outcome.channels)
         table.add_row(stage.name, *(f"{figures[channel.key][key]:.3f}" for channel, key in columns))

@@ -32,7 +32,7 @@ from aridcal.system.writing.separate_paths import check_apart
 from aridcal.system.writing.table_writer import in_plain_words
 from aridcal.system.writing.whole_files import atomic_table, claimed_table
 
-BESIDE = REFUSED, SHEET = "refused.csv", "shots.html"
+FILES_BESIDE_POSES = REFUSED, SHEET = "refused.csv", "shots.html"
 """Written beside the table: the shots that were not measured, and a page with all images."""
 
 REFUSED_COLUMNS = ("shot", "image", "why")
@@ -130,12 +130,12 @@ def parser() -> CommandParser:
 def _main(arguments: argparse.Namespace) -> None:
     out: Path = arguments.out
     check_apart(_written(out), [arguments.head])
-    with claimed_table(out, BESIDE):
+    with claimed_table(out, FILES_BESIDE_POSES):
         _measure(arguments.head, out, screens(arguments)[1])
 
 
 def _written(out: Path) -> list[Path]:
-    return [out, *(out.with_name(name) for name in BESIDE)]
+    return [out, *(out.with_name(name) for name in FILES_BESIDE_POSES)]
 
 
 def _measure(settings: Path, out: Path, console: Screen) -> None:
@@ -151,7 +151,7 @@ def _measure(settings: Path, out: Path, console: Screen) -> None:
     if len(refused) == rows:
         first = lines[0] if lines else "it has no rows"
         raise AridcalError(f"{head.shots}: nothing could be measured. First: {first}")
-    with atomic_table(out, BESIDE) as folder:
+    with atomic_table(out, FILES_BESIDE_POSES) as folder:
         measured_table(table, results, head).to_csv(folder / out.name, index=False, float_format="%.17g")
         in_plain_words(refused).to_csv(folder / REFUSED, index=False)
         (folder / SHEET).write_text(contact_sheet(results, f"Shots of {head.shots.name}"), encoding="utf-8")

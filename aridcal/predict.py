@@ -35,7 +35,7 @@ from aridcal.system.errors import CampaignError, OutputError
 from aridcal.system.progress import SHOWN_REMARKS, Screen, console_progress
 from aridcal.system.reading.user_names import path_argument
 from aridcal.system.writing.separate_paths import check_apart
-from aridcal.system.writing.table_writer import ENDINGS, table_file
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS, table_file
 from aridcal.system.writing.whole_files import atomic_file, check_home, claimed
 
 
@@ -56,7 +56,7 @@ def parser() -> CommandParser:
 
 
 def _main(arguments: argparse.Namespace) -> None:
-    if arguments.out.suffix.lower() not in ENDINGS:
+    if arguments.out.suffix.lower() not in WRITTEN_ENDINGS:
         raise OutputError(f"{arguments.out}: should be a .csv or .parquet file")
     check_home(arguments.out)
     check_apart([arguments.out], [arguments.calibration, arguments.query])

@@ -33,14 +33,14 @@ from aridcal.system.writing.whole_files import atomic_file, atomic_table
 MARKERS = "markers.csv"
 """Written beside a board: the places of its marks."""
 
-SQUARES: Defaults = {"square": {"first": 0}, "strip": {}}
+SQUARE_SHEETS: Defaults = {"square": {"first": 0}, "strip": {}}
 
 BODIES: Defaults = {
     "holder": {"ball": 0.02, "apart": 0.05, "bolt": 0.0055},
     "cup": {"ball": 0.02, "bolts": 4, "circle": 0.05, "bolt": 0.0066},
 }
 
-ALL: Defaults = {**ALL_BOARDS, **SQUARES, **BODIES}
+ALL: Defaults = {**ALL_BOARDS, **SQUARE_SHEETS, **BODIES}
 
 # Index of a square: its bars have room for three digits.
 MOST_SQUARES = 1000
@@ -55,7 +55,7 @@ def markers_table(found: Marks) -> pd.DataFrame:
 
 def sheet_of(what: str, options: dict[str, Any]) -> tuple[Sheet, Marks | None]:
     """What is drawn, without a margin, and its marks where a campaign can use them."""
-    if what in SQUARES:
+    if what in SQUARE_SHEETS:
         first = options.get("first", 0)
         if not 0 <= first < MOST_SQUARES:
             raise CampaignError(f"--first: {first}; squares have the numbers 0 to {MOST_SQUARES - 1}")

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.robot.chain import load_robot
 from aridcal.files.campaign import Campaign, load_campaign
 from aridcal.files.read import load_measurements
@@ -83,13 +83,13 @@ def planned() -> None:
                 robot = load_robot(made.robot.urdf, made.robot.tip)
                 started = time.process_time()
                 known, rng = beforehand(made, robot), np.random.default_rng(0)
-                candidates = draw_candidates(known, POOL if KINDS[kind].anywhere else SMALL_POOL, n, rng)
+                candidates = draw_candidates(known, POOL if MEASUREMENT_KINDS[kind].anywhere else SMALL_POOL, n, rng)
                 known = with_usual_effects(known, candidates) if suspects else known
                 region = region_readings(known, None, rng)
                 choice, of = question(known, PlanRequest(n), candidates, region)
                 chosen = best_choice(choice, n, rng)
                 best = RefinedCandidates(candidates.some(chosen), choice.rows[chosen])
-                if KINDS[kind].anywhere:
+                if MEASUREMENT_KINDS[kind].anywhere:
                     best = refined(known, of, choice, best, rng)
                 seconds = time.process_time() - started
                 M = replace(choice, rows=best.rows).information(range(n))

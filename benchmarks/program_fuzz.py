@@ -25,7 +25,7 @@ from aridcal.jobs.apply.programs.languages import LANGUAGES
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.targets import Target
-from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NUL, written
 from aridcal.system.errors import AridcalError
 from fuzz.mutate import mutate
 
@@ -76,7 +76,7 @@ def attempt(language: Language, cell: Cell, project: Project, rng: Random) -> tu
     plain = [target for target in targets if not target.why]
     for target in plain:
         new = list(map(written, nearby(target, rng), target.numbers.texts, target.places))
-        if max(map(abs, map(float, new))) <= LARGEST:  # larger ones are left by the correction, too
+        if max(map(abs, map(float, new))) <= LARGEST_IN_PROGRAM:  # larger ones are left by the correction, too
             changes.append(TextChange(target.file, target.numbers, NUL.join(new)))
     texts = corrected(language, project, cell, expected_targets(targets), edit_texts(project, changes))
     for file, (source, text) in enumerate(zip(project.sources, texts, strict=True)):

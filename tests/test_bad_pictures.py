@@ -30,7 +30,7 @@ from aridcal.jobs.calibrate.controllers import ControllerExports, controller_exp
 from aridcal.jobs.calibrate.outcome import Outcome
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.pages.drawing import robot_shapes, scene
-from aridcal.pages.drawing.html import LONGEST_REASON, attempt, collect_notices, note
+from aridcal.pages.drawing.html import LONGEST_NOTICE, attempt, collect_notices, note
 from aridcal.pages.report import page
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
@@ -248,7 +248,7 @@ def attacked(
     put_files(folder)
     robot = dressed(bare(), links(), folder)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(robot_shapes, "MOST_NOTICES", 1000)
+        patched.setattr(robot_shapes, "MOST_SHAPE_NOTICES", 1000)
         patched.setattr(meshes, "ROBOT_SECONDS", 3600)  # all are looked at, however busy the machine is
         drawn, notices = robot_shapes.robot_shapes(robot)
     return robot, drawn, notices
@@ -282,7 +282,7 @@ def test_a_bad_picture_gives_one_notice_with_its_link_and_the_reason(name: str, 
     assert len(about) == 1, about
     assert about[0].startswith(f"link '{name}' is not drawn: ")
     assert BAD[name][1] in about[0]
-    assert about[0].isprintable() and len(about[0]) < LONGEST_REASON + 100
+    assert about[0].isprintable() and len(about[0]) < LONGEST_NOTICE + 100
     assert ".py:" not in about[0]  # none is a bug of ours
 
 
@@ -346,7 +346,7 @@ def test_a_mesh_that_kills_its_reader_costs_itself_alone(tmp_path: Path, monkeyp
 
 def test_a_reader_that_takes_much_memory_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "bomb.dae").write_bytes(bomb())
-    monkeypatch.setattr(meshes, "MEMORY_GB", 0.45)
+    monkeypatch.setattr(meshes, "MESH_MEMORY_GB", 0.45)
     monkeypatch.setattr(meshes, "FILE_SECONDS", 3600)  # memory is short before time is
     (bad,) = read_meshes([tmp_path / "bomb.dae"]).values()
     assert isinstance(bad, NotDrawable) and "longer" not in str(bad)
@@ -576,7 +576,7 @@ def test_notices_are_collected_once_each_and_only_where_somebody_asks() -> None:
 def test_a_reason_is_one_printable_line_of_bounded_length() -> None:
     with collect_notices() as notices:
         attempt("it", fails(ValueError("x" * 10_000 + "\n\x1b[31m\x00")), lambda notice: None)
-    assert notices[0].isprintable() and len(notices[0]) < LONGEST_REASON + 100
+    assert notices[0].isprintable() and len(notices[0]) < LONGEST_NOTICE + 100
     assert "test_bad_pictures.py:" in notices[0]
 
 

@@ -16,7 +16,7 @@ import yaml
 
 from aridcal.engine.corrections.basis import FORMS, Basis, evaluate, values_of_bases
 from aridcal.engine.corrections.catalogue import (
-    KINDS,
+    EFFECT_KINDS,
     candidates,
     declared,
     is_of_head,
@@ -25,7 +25,7 @@ from aridcal.engine.corrections.catalogue import (
 )
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows
-from aridcal.engine.corrections.labels import STATION, label_columns
+from aridcal.engine.corrections.labels import LABEL_COLUMN, label_columns
 from aridcal.engine.corrections.loads import Payload, Surroundings, covariate_table
 from aridcal.engine.corrections.sights import TARGET, Sights, sight_table
 from aridcal.engine.instruments.camera_sonar import Head
@@ -73,7 +73,7 @@ CONTRACT: dict[str, tuple[set[str], tuple[str, ...]]] = {
 }
 BY = {"regional": "joint_1", "residual_field": "place"}
 OF_THINGS = ("tracker_scale", "distance_scale", "range_error", "wire_sag", "flatness")
-OF_ARM = [kind for kind in KINDS if not is_of_head(kind) and kind not in OF_THINGS]
+OF_ARM = [kind for kind in EFFECT_KINDS if not is_of_head(kind) and kind not in OF_THINGS]
 HELD = {
     ("tracker", "laser"): ("scale", "square"),
     ("anchor", "rail"): ("scale",),
@@ -111,8 +111,8 @@ def effects(kind: str) -> list[Effect]:
 
 
 def test_every_kind_of_the_table_has_a_contract() -> None:
-    assert list(KINDS) == list(CONTRACT)
-    assert all(kind.name == name for name, kind in KINDS.items())
+    assert list(EFFECT_KINDS) == list(CONTRACT)
+    assert all(kind.name == name for name, kind in EFFECT_KINDS.items())
 
 
 def test_what_is_held_at_a_thing_may_be_wrong_and_what_is_identified_may_not() -> None:
@@ -126,7 +126,7 @@ def test_what_is_held_at_a_thing_may_be_wrong_and_what_is_identified_may_not() -
     assert all(not e.covariates for e in candidates(replace(rows, held=HELD), kinds))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
     motions, endings = CONTRACT[kind]
     names = observed()[0].robot.names
@@ -137,12 +137,12 @@ def test_a_kind_moves_and_depends_on_what_the_formats_say(kind: str) -> None:
             if endings:
                 assert name == effect.where or any(e and name in (e, effect.where + e) for e in endings)
             else:
-                assert name in (*names, *MEASURED, *((STATION,) if effect.by == STATION else ()))
+                assert name in (*names, *MEASURED, *((LABEL_COLUMN,) if effect.by == LABEL_COLUMN else ()))
     assert {e.by for e in effects(kind)} <= {
         "direction",
         "load",
         BY.get(kind),
-        STATION if kind == "regional" else None,
+        LABEL_COLUMN if kind == "regional" else None,
         None,
     }
     if kind == "joint_coupling":
@@ -168,7 +168,7 @@ def test_a_kind_s_columns_are_finite_differences_of_the_exact_poses(kind: str) -
             np.testing.assert_allclose(J[:, :, k], seen, atol=1e-7 * max(1.0, np.abs(J).max()))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_has_names_that_are_unique_and_no_two_effects_that_are_one(kind: str) -> None:
     found = effects(kind)
     for effect in found:
@@ -188,9 +188,9 @@ def test_a_kind_can_be_declared_where_the_search_would_look_for_it(kind: str) ->
         assert (found.kind, found.where, found.with_) == (kind, place, with_)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", EFFECT_KINDS)
 def test_a_kind_has_the_bases_and_the_example_that_its_row_says(kind: str) -> None:
-    row = KINDS[kind]
+    row = EFFECT_KINDS[kind]
     used = {c.basis.form for e in effects(kind) for c in e.coefficients}
     # pairs are made from what the residual hints at; a constant in space must be declared
     assert used == set(row.bases) - ({"ball"} if kind == "regional" else {"bump2"})
@@ -243,7 +243,7 @@ TRUTH = {"kind": "toy", "where": "elbow_joint", "coefficients": [2e-3]}
 def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     stated: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    known = {kind: KINDS[kind] for kind in ("joint_gain", "joint_compliance")}
+    known = {kind: EFFECT_KINDS[kind] for kind in ("joint_gain", "joint_compliance")}
     scenario = {
         "format": 1,
         "robot": {"urdf": str(robots.URDF / "ur10.urdf"), "base": "base_link", "tip": "tool0"},
@@ -255,7 +255,7 @@ def test_a_new_kind_is_one_row_and_goes_through_the_whole_loop(
     file, made, out = tmp_path / "scenario.yaml", tmp_path / "made", tmp_path / "out"
     file.write_text(yaml.safe_dump(scenario), "utf-8")
     assert simulate([str(file), "-o", str(made)]) == 2  # there is no such kind
-    monkeypatch.setitem(KINDS, "toy", TOY)
+    monkeypatch.setitem(EFFECT_KINDS, "toy", TOY)
     assert simulate([str(file), "-o", str(made)]) == 0
     assert identify([str(made / "campaign.yaml"), "--out", str(out)]) == 0
 

@@ -27,7 +27,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saving import calibration
 from aridcal.jobs.calibrate.verdict import Verdict
 from aridcal.pages import certificate as module
-from aridcal.pages.certificate import FILES, certificate, write_certificate
+from aridcal.pages.certificate import CERTIFICATE_FILES, certificate, write_certificate
 from aridcal.pages.drawing.html import join
 from aridcal.pages.drawing.one_page import OnePage, as_html
 from aridcal.pages.report.iso_section import iso
@@ -281,7 +281,7 @@ def test_the_command_writes_both_files_and_their_hashes_are_those_of_the_files(
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())  # a mark that is not part of the text
     assert identify_main([str(path), "--out", str(out)]) == 0
     assert f"certificate: {out / 'certificate.pdf'}\n" in capsys.readouterr().out
-    assert set(FILES) <= RESULT_FILES  # none outlives a result without `about`
+    assert set(CERTIFICATE_FILES) <= RESULT_FILES  # none outlives a result without `about`
     said = html.fromstring((out / "certificate.html").read_bytes()).text_content()
     named = [path, tmp_path / "robot.urdf", tmp_path / "measurements.csv", *(out / name for name in module.HASHED)]
     for file in named:

@@ -15,7 +15,7 @@ import yaml
 
 from aridcal import compensate, identify, predict
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Surroundings, covariate_table
@@ -144,7 +144,9 @@ def test_nothing_is_offered_that_goes_with_the_reading_of_a_joint_that_stands_st
     robot = arm()
     q = robots.readings(robot, 30, np.random.default_rng(5))
     table = covariate_table(robot, q, {}, Surroundings(), np.zeros(30, dtype=int), {f"{WAIST}.gravity_torque"})
-    offered = candidates(ObservedRows(robot, table, ()), [name for name, kind in KINDS.items() if not kind.asked])
+    offered = candidates(
+        ObservedRows(robot, table, ()), [name for name, kind in EFFECT_KINDS.items() if not kind.asked]
+    )
     depends = {name for effect in offered for c in effect.coefficients for name in c.basis.of}
     assert KNUCKLE in depends and WAIST not in depends
     assert any(effect.where == WAIST for effect in offered)  # it may give way, though

@@ -18,7 +18,7 @@ from aridcal.jobs.boards.options import ALL_BOARDS, board_of
 from aridcal.jobs.boards.patterns import FACES, Cube, Tags, drawing, marks
 from aridcal.jobs.boards.sheet import on_paper, svg
 from aridcal.jobs.head1992.matching import NotMeasured
-from aridcal.jobs.head1992.square import UNIT
+from aridcal.jobs.head1992.square import UNIT_CORNERS
 
 cv2.setNumThreads(1)
 BOARDS = {what: board_of(what, options) for what, options in ALL_BOARDS.items()}
@@ -41,7 +41,7 @@ def places_on_the_sheet(what: str) -> dict[str, np.ndarray]:
     middle = np.array([2.1, 1.7]) * board.side  # of a net of 4.2 x 3.4 sides, tabs of a fifth among them
     found = {}
     for k, (_, _, place) in enumerate(FACES):
-        corners = board.side * (np.array(place) + [1.5, 1.7]) - middle + board.tag * UNIT
+        corners = board.side * (np.array(place) + [1.5, 1.7]) - middle + board.tag * UNIT_CORNERS
         found |= {f"tag{k}_{n + 1}": np.r_[corner, 0] for n, corner in enumerate(corners)}
     return found
 

@@ -15,13 +15,13 @@ from aridcal.engine.fit.elimination import prior_rows
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import linearise, reduced_stretches, thing_projector
 from aridcal.engine.instruments.channels import LENGTH, TARGET_POSITION
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Block, Instruments, Things, Tie
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.dataset import Dataset, dataset
 
-POINT = KINDS["point"].roles[0]
-ANCHOR = KINDS["distance"].roles[0]
+POINT = MEASUREMENT_KINDS["point"].roles[0]
+ANCHOR = MEASUREMENT_KINDS["distance"].roles[0]
 SIGMA = np.array([2e-3, 1e-3])
 
 

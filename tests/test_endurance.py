@@ -183,8 +183,8 @@ def test_columns_that_move_no_row_of_a_block_change_no_sum(monkeypatch: pytest.M
     asked = problem(Model(truth.model.robot, every, frames, truth.model.tip_target), rows)
     theta, sigma = np.zeros(len(every)), np.ones(2)
     dense = linearise(asked, theta, None, sigma).equations
-    monkeypatch.setattr("aridcal.engine.fit.residual.MANY", 0)
-    monkeypatch.setattr("aridcal.engine.fit.problem.BLOCK", 7)
+    monkeypatch.setattr("aridcal.engine.fit.residual.MANY_COEFFICIENTS", 0)
+    monkeypatch.setattr("aridcal.engine.fit.problem.ROWS_PER_BLOCK", 7)
     sparse = linearise(asked, theta, None, sigma).equations
     np.testing.assert_allclose(sparse.AA, dense.AA, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(sparse.Ar, dense.Ar, rtol=1e-12, atol=1e-12)

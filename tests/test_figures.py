@@ -10,7 +10,7 @@ from lxml import etree
 from markupsafe import Markup
 
 from aridcal.pages.drawing.drawn_rows import MOST_DRAWN, SOUND_DRAWN, drawn_rows
-from aridcal.pages.drawing.fields import LEVELS, SQUARES, color_steps, field
+from aridcal.pages.drawing.fields import LEVELS, SQUARES_A_SIDE, color_steps, field
 from aridcal.pages.drawing.figures import (
     COLOURS,
     Trend,
@@ -305,7 +305,7 @@ def test_squares_of_a_field_are_those_of_pairs() -> None:
     """Each square has one number; the slow road sorts pairs."""
     for k in range(20):
         points = RNG.normal(size=(500, 2)) * [1.0, 10.0 ** (k / 5 - 2)] + 5.0 * RNG.normal(size=2)
-        side = float(np.ptp(points, axis=0).max()) / SQUARES
+        side = float(np.ptp(points, axis=0).max()) / SQUARES_A_SIDE
         squares = np.unique(np.floor(points / side), axis=0)
         drawn = colors_of(field("k", "alt", points, np.ones(500), ("x", "y"), "mm", color_steps(np.ones(500))))
         assert sum(drawn.values()) == len(squares)

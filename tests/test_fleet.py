@@ -28,7 +28,7 @@ from aridcal.jobs.fleet.cluster import dask_engine
 from aridcal.jobs.fleet.keys import files_of, inputs_of
 from aridcal.jobs.fleet.local_engine import EngineGone, WorkFailure, run_tasks
 from aridcal.jobs.fleet.members import members
-from aridcal.jobs.fleet.run_record import SCHEMA, row_of_folder
+from aridcal.jobs.fleet.run_record import RUN_SCHEMA, row_of_folder
 from aridcal.jobs.fleet.run_table import merged, read_rows
 from aridcal.jobs.fleet.runs import FleetPlan, FleetResults, computed, plan_runs
 from aridcal.jobs.fleet.work import Task, calibrated
@@ -120,8 +120,8 @@ def test_each_robot_has_its_result_folder_and_its_row(three: Path) -> None:
 def test_the_table_has_the_columns_that_the_formats_promise(three: Path) -> None:
     text = (ROOT / "docs" / "formats.md").read_text("utf-8").split("## 8. A fleet's folder")[1]
     table = pyarrow.parquet.read_table(three / "fleet" / "fleet.parquet")
-    assert table.schema.names == SCHEMA.names
-    for field in SCHEMA:
+    assert table.schema.names == RUN_SCHEMA.names
+    for field in RUN_SCHEMA:
         assert f"| `{field.name}` |" in text
         if str(field.type).startswith("list<item: struct"):
             line = next(line for line in text.splitlines() if line.startswith(f"| `{field.name}` |"))

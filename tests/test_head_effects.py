@@ -13,7 +13,7 @@ from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.stages import Geometry
-from aridcal.engine.search.declared_effects import CONFOUNDED
+from aridcal.engine.search.declared_effects import CONFOUNDED_SENTENCE
 from aridcal.engine.search.loop import CalibratedArm
 from aridcal.engine.trust.gains import explain
 from aridcal.jobs.head1992.detections import head_things
@@ -108,7 +108,7 @@ def test_of_declared_effects_that_are_one_the_last_is_left_out_and_named():
     known = values(arm)
     assert [s for s in (*SONARS, "sonars") if f"{s}.bias" not in known] == ["sonars"]
     assert all(known[f"{s}.bias"][1] < 1e-3 for s in SONARS)
-    (lost,) = [b for b in arm.diagnosed.barred if b.why == CONFOUNDED]
+    (lost,) = [b for b in arm.diagnosed.barred if b.why == CONFOUNDED_SENTENCE]
     assert lost.what.startswith("sonar_bias at sonars")
 
 

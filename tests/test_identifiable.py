@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit import identifiable as identifiable_module
 from aridcal.engine.fit.constants import constants
-from aridcal.engine.fit.identifiable import CARRIES, TOLERANCE, WORST, Subset, apart, identifiable
+from aridcal.engine.fit.identifiable import CARRIES, REDUNDANT_SHARE, REDUNDANT_SIGMA, Subset, apart, identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.residual import triangle
 from aridcal.engine.model.model import Model
@@ -209,7 +209,7 @@ def test_what_is_no_sum_of_the_first_columns_is_found_and_only_that() -> None:
 @pytest.mark.parametrize("many", [2, 100])
 def test_weak_combinations_are_those_of_singular_values(many: int, monkeypatch: pytest.MonkeyPatch):
     """Twenty columns of which some combinations move almost nothing: taken out one by one, all else tried again, with SVDs."""
-    monkeypatch.setattr(identifiable_module, "MANY", many)
+    monkeypatch.setattr(identifiable_module, "MANY_COLUMNS", many)
     for seed in range(10):
         rng = np.random.default_rng(seed)
         J = 1e4 * rng.standard_normal((60, 20))
@@ -218,15 +218,15 @@ def test_weak_combinations_are_those_of_singular_values(many: int, monkeypatch: 
         R = np.linalg.qr(J, mode="r")
         order = rng.permutation(20).tolist()
         length = np.linalg.norm(R, axis=0)
-        kept = identifiable_module._extended(R, length, [], order, TOLERANCE)
+        kept = identifiable_module._extended(R, length, [], order, REDUNDANT_SHARE)
         weak: list[int] = []
         while True:
             _, singular, Vt = np.linalg.svd(R[:, kept])
-            if singular[-1] * WORST >= 1.0:
+            if singular[-1] * REDUNDANT_SIGMA >= 1.0:
                 break
             part = np.abs(Vt[-1])
             weak.append(kept.pop(int(np.flatnonzero(part > CARRIES * part.max())[-1])))
             rest = [k for k in order if k not in weak]
-            kept = identifiable_module._extended(R, length, kept, rest, TOLERANCE)
+            kept = identifiable_module._extended(R, length, kept, rest, REDUNDANT_SHARE)
         assert weak
         assert identifiable(R, order).kept == tuple(k for k in order if k in kept)

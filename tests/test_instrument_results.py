@@ -24,7 +24,7 @@ import aridcal
 from aridcal.calibration import Calibration
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import columns, spread
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.identify import summary
 from aridcal.jobs.calibrate.folder import residual_table, result_document
@@ -376,7 +376,7 @@ def test_a_saved_calibration_predicts_the_target_of_the_outcome(name: str, tmp_p
         with pytest.raises(AridcalError, match="several targets"):
             saved.predict(queries)
         queries["target"] = m.labels.target[rows]
-    roles = KINDS[m.blocks[0].kind].roles
+    roles = MEASUREMENT_KINDS[m.blocks[0].kind].roles
     labels = {role.name: m.labels.refers[rows, k] for k, role in enumerate(roles)}
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # a table that was measured may be asked about as it is
@@ -470,7 +470,7 @@ def test_every_thing_stands_in_the_report_with_its_rows_and_its_own_residual(nam
     m = outcome.measurements
     first = {b: outcome.channels[k] for b, k in enumerate(leading(m))}
     for b, block in enumerate(m.blocks):
-        for k, role in enumerate(KINDS[block.kind].roles):
+        for k, role in enumerate(MEASUREMENT_KINDS[block.kind].roles):
             lines = {
                 line[0].text_content(): [cell.text_content() for cell in line]
                 for line in html.fromstring(join(list(instruments(outcome)))).xpath(
@@ -508,7 +508,7 @@ def test_what_was_not_repeated_is_said_in_words_of_the_kind() -> None:
 
 
 def test_every_kind_of_instrument_says_what_it_cannot_tell_and_what_would() -> None:
-    assert set(BLIND) == set(MORE) == set(KINDS) - {"pose", "position", "camera_sonar"}
+    assert set(BLIND) == set(MORE) == set(MEASUREMENT_KINDS) - {"pose", "position", "camera_sonar"}
     assert "a known distance from another" in section("loose")
     assert "a longer known length" in section("point")
     assert "directions of gravity tell no place" in section("inclination")

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point
-from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import Things
 from aridcal.engine.instruments.starts import aligned, starts

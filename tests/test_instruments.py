@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aridcal.engine.instruments.kind import MeasurementKind, Role
-from aridcal.engine.instruments.kinds import KINDS as EVERY
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as EVERY
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.pixels import UNSEEN_RESIDUAL
 from aridcal.engine.instruments.pose import turned_back

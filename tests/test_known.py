@@ -29,7 +29,7 @@ def test_sums_and_differences_scatter_from_campaign_to_campaign_as_they_are_said
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Second road: the scatter of the constants of 60 campaigns at the same configurations; less unequal pairs are asked, too."""
-    monkeypatch.setattr(of_constants, "TOGETHER", 1.5)
+    monkeypatch.setattr(of_constants, "PAIR_RATIO", 1.5)
     rng = np.random.default_rng(1)
     truth = robots.simulate(robots.arid(), 40, rng, 1e-3, NOISE)
     exact = truth.model.poses(truth.theta, truth.model.rows(truth.readings))

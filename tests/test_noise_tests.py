@@ -11,7 +11,7 @@ import robots
 from scipy.stats import kstest
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.noise import RepeatScatter, declared_notices
@@ -21,7 +21,7 @@ from aridcal.engine.instruments.setup import Block
 from aridcal.engine.rows.dataset import Dataset, dataset
 from aridcal.engine.search.noise_tests import (
     SHUFFLES,
-    STRETCHES,
+    TESTED_STRETCHES,
     Clue,
     ResidualView,
     _change,
@@ -257,7 +257,7 @@ def test_of_many_rows_stretches_on_end_are_asked_in_the_order_of_measurement() -
     place = np.sort(np.argsort(sequence)[some])
     assert place[0] == 0 and place[-1] == 100_002
     ends = np.flatnonzero(np.diff(place) > 1)
-    assert len(ends) == STRETCHES - 1
+    assert len(ends) == TESTED_STRETCHES - 1
     assert np.diff(place)[ends].max() - np.diff(place)[ends].min() <= 1
     np.testing.assert_array_equal(stretches(sequence[:9_000], 10_000), np.arange(9_000))
 
@@ -282,7 +282,8 @@ def test_a_jump_is_the_largest_step_of_the_mean_as_every_place_by_itself_gives_i
     def largest(white: np.ndarray) -> tuple[float, int]:
         centred = white - white.mean(axis=0)
         steps = {
-            k: float(np.sum(centred[:k].sum(axis=0) ** 2) / (k * (1.0 - k / n))) for k in range(SIDE, n - SIDE + 1)
+            k: float(np.sum(centred[:k].sum(axis=0) ** 2) / (k * (1.0 - k / n)))
+            for k in range(FEWEST_ROWS_OF_A_SIDE, n - FEWEST_ROWS_OF_A_SIDE + 1)
         }
         best = max(steps, key=steps.__getitem__)
         return steps[best], best

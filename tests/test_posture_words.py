@@ -19,7 +19,13 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, parse_robot
 from aridcal.files.campaign import load_campaign, nominal_robot
 from aridcal.jobs.apply.programs import fanuc, krl, rapid
-from aridcal.jobs.apply.programs.axis_zeros import WITNESSES, cell_zeros, senses_hint, without_mirrored, zeros_hint
+from aridcal.jobs.apply.programs.axis_zeros import (
+    LEAST_WITNESSES,
+    cell_zeros,
+    senses_hint,
+    without_mirrored,
+    zeros_hint,
+)
 from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
 from aridcal.jobs.apply.programs.notations import KUKA as NOTATION
@@ -382,7 +388,7 @@ def test_nothing_is_said_of_zeros_that_are_right_or_stated_or_not_contradicted()
     for cell in (right, stated):
         assert zeros_hint(*kuka_program(cell), cell, krl.ROW.name) == ""
     assert zeros_hint([home(stated, 0, -90, 90, 0, 0, 0)], [[]], stated, krl.ROW.name) == ""
-    assert zeros_hint(*kuka_program(bare, WITNESSES - 1), bare, krl.ROW.name) == ""
+    assert zeros_hint(*kuka_program(bare, LEAST_WITNESSES - 1), bare, krl.ROW.name) == ""
     assert zeros_hint(*kuka_program(bare, words=False), bare, krl.ROW.name) == ""
     own = [
         replace(t, branch=Branch(krl_of(bare, *some(krl_of(bare, "0", "0").texts(stands[0])))))

@@ -26,7 +26,7 @@ from aridcal.jobs.apply.programs.branches import Controller, Poses, controller, 
 from aridcal.jobs.apply.programs.corrections import Correction, as_table
 from aridcal.jobs.apply.programs.notations import ABB, FANUC, KUKA, UR, pose
 from aridcal.jobs.apply.programs.targets import Branch, Notation, PoseReference, Target, Words
-from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number, Numbers
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 
 HOME = np.array([0.3, -1.2, 1.5, -1.5, -1.4, 0.2])
@@ -185,7 +185,7 @@ def test_many_targets_at_once_are_corrected_as_one_after_the_other(name: str, mo
     saved = real(*BACKLASH)
     targets = PROGRAMS[name](60, np.random.default_rng(11))
     together = correct.correct(saved, targets, {}, HOME)
-    monkeypatch.setattr(correct, "AT_ONCE", 1)
+    monkeypatch.setattr(correct, "TARGETS_AT_ONCE", 1)
     apart = correct.correct(saved, targets, {}, HOME)
     assert [(c.why, c.remark) for c in together] == [(c.why, c.remark) for c in apart]
     for one, other in zip(together, apart, strict=True):
@@ -315,7 +315,7 @@ def test_three_reasons_not_to_get_to_a_pose_are_told_apart() -> None:
     ]
     found = correct.correct(saved, targets, {}, q)
     assert found[0].why == "its posture (signs) is none that the nominal arm has there"
-    assert found[1].why == correct.NOWHERE
+    assert found[1].why == correct.NOT_NOMINAL
     assert found[2].why == correct.LIMITED
 
 
@@ -374,7 +374,7 @@ def test_numbers_that_are_used_a_constant_way_off_are_corrected_where_that_helps
             remains.append([float(np.linalg.norm(one.pose(q, one.still)[1] - wanted)) for q in (was, will)])
         assert c.beside == pytest.approx(max(after for _, after in remains), abs=1e-7)
         if worth:
-            assert c.remark == correct.BESIDE
+            assert c.remark == correct.ALSO_A_CONSTANT
             assert all(after < 0.5 * before for before, after in remains)
             assert f"{1e3 * c.beside:.6f} mm" in as_table(found)["remark"][0]
         else:
@@ -388,7 +388,7 @@ def test_what_is_left_stays_as_it_is_and_changes_name_the_file() -> None:
     found = correct.correct(saved, targets, {}, HOME, told.append)
     _, beyond, spoilt = found
     assert {change.file for change in found.changes()} == {3}
-    assert (beyond.why, spoilt.why) == (correct.BEYOND, "line 3 computes with it")
+    assert (beyond.why, spoilt.why) == (correct.BEYOND_MEASURED, "line 3 computes with it")
     assert beyond.texts == spoilt.texts == ()
     assert told == [0]
     table = as_table(found)
@@ -479,15 +479,15 @@ def test_windows_of_any_size_give_the_same_walk(monkeypatch: pytest.MonkeyPatch)
         monkeypatch.setattr(branches, "USUAL", size)
         found.append(Controller(robot).walk(chain, HOME, {})[0])
     for other in found[1:]:  # with the elbow straight, readings are less sharp than the tip's place
-        np.testing.assert_allclose(other, found[0], atol=branches.SAME)
-        np.testing.assert_allclose(flanges(robot, other), flanges(robot, found[0]), atol=2 * branches.EXACT)
+        np.testing.assert_allclose(other, found[0], atol=branches.SAME_POSITION)
+        np.testing.assert_allclose(flanges(robot, other), flanges(robot, found[0]), atol=2 * branches.REACHED_TOLERANCE)
 
 
 def test_numbers_that_a_correction_makes_larger_than_any_arm_has_are_left() -> None:
     """What is written must be read again as a target: a reader refuses such numbers."""
     endless = robots.random_chain(np.random.default_rng(2), kinds="CCCCCC")
-    saved = real(urdf=endless, turn=2 * LARGEST)
-    q = np.array([LARGEST, -1.2, 1.5, -1.5, -1.4, 0.2])
+    saved = real(urdf=endless, turn=2 * LARGEST_IN_PROGRAM)
+    q = np.array([LARGEST_IN_PROGRAM, -1.2, 1.5, -1.5, -1.4, 0.2])
     found = [correct.correct(saved, [stated(q * [sign, 1, 1, 1, 1, 1])], {})[0] for sign in (1.0, -1.0)]
     assert sorted(c.why for c in found) == ["", correct.TOO_LARGE]
-    assert all(abs(float(text)) <= LARGEST for c in found for text in c.texts)
+    assert all(abs(float(text)) <= LARGEST_IN_PROGRAM for c in found for text in c.texts)

@@ -28,7 +28,7 @@ from aridcal.engine.robot.tree import read_tree
 from aridcal.jobs.apply.programs import gcode
 from aridcal.jobs.apply.programs.branches import flange
 from aridcal.jobs.apply.programs.cell import Cell
-from aridcal.jobs.apply.programs.correct import NOWHERE, correct
+from aridcal.jobs.apply.programs.correct import NOT_NOMINAL, correct
 from aridcal.jobs.apply.programs.frames import KnownFrames, read_frames
 from aridcal.jobs.apply.programs.languages import language_of
 from aridcal.jobs.apply.programs.notations import ABB as OUR_ABB
@@ -250,7 +250,7 @@ def test_targets_beyond_what_was_measured_or_out_of_reach_are_named_and_left(
     assert not side["corrected"].any()
     said = capfd.readouterr().err
     assert "line 1, [6.0, 6.0, 6.0, 6.0, 6.0, 6.0]: is beyond what was measured" in said
-    assert f"line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: {NOWHERE}" in said
+    assert f"line 3, p[9.0, 0.0, 0.0, 0.0, 0.0, 0.0]: {NOT_NOMINAL}" in said
 
 
 @pytest.mark.parametrize(

@@ -169,7 +169,7 @@ def test_a_grid_gives_what_its_columns_give(monkeypatch):
     more = [candidates[1], candidates[6], in_two_places("j2")]
     states = []
     for least in (4, 10**9):  # as grids, and column by column
-        monkeypatch.setattr(products, "GRID", least)
+        monkeypatch.setattr(products, "LEAST_GRID_CANDIDATES", least)
         made = solved()
         b = made.model.prepare([*candidates, *more])
         taken = [activate(made, effect, Score(1.0, 0.0, 3, tau=0.3)) for effect in more]

@@ -18,9 +18,18 @@ from aridcal.engine.corrections.loads import Surroundings
 from aridcal.engine.corrections.smooth import Kernel, smooth_precision
 from aridcal.engine.fit.least_squares import fit
 from aridcal.engine.fit.normal_equations import Prior
-from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, problem
 from aridcal.engine.model.model import Model
-from aridcal.engine.trust.coverage import EDGE, FEWEST, NEIGHBOURS, SAME, WIDE, holes, in_ranges, largest
+from aridcal.engine.trust.coverage import (
+    EDGE,
+    FEWEST_STEPS_AROUND_HOLE,
+    HOLE_FACTOR,
+    NEIGHBOURING_STEPS,
+    SAME_VALUE_SHARE,
+    holes,
+    in_ranges,
+    largest,
+)
 from aridcal.jobs.apply.target_poses import predict, read_query
 from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -89,7 +98,7 @@ def test_a_step_counts_as_wide_in_any_unit() -> None:
     ((low, high),) = holes(values)
     ((other_low, other_high),) = holes(1e4 * values)
     np.testing.assert_allclose([other_low, other_high], [1e4 * low, 1e4 * high], rtol=1e-12)
-    assert high - low > WIDE * 1 / 60
+    assert high - low > HOLE_FACTOR * 1 / 60
 
 
 def solved(n: int = 30) -> tuple[SolvedModel, np.ndarray]:
@@ -117,8 +126,8 @@ def test_standard_deviations_are_the_scatter_of_drawn_coefficients() -> None:
 
 
 def test_many_rows_have_the_deviations_of_each() -> None:
-    found, q = solved(2 * BLOCK + 7)
-    some = np.array([0, BLOCK - 1, BLOCK, 2 * BLOCK + 6])
+    found, q = solved(2 * ROWS_PER_BLOCK + 7)
+    some = np.array([0, ROWS_PER_BLOCK - 1, ROWS_PER_BLOCK, 2 * ROWS_PER_BLOCK + 6])
     np.testing.assert_allclose(found.std(q)[some], found.std(q[some]), rtol=1e-12)
     assert found.std(q[:0]).shape == (0, 6)
 
@@ -222,12 +231,14 @@ def test_holes_are_those_of_the_definition_step_by_step(how: str) -> None:
         rng = np.random.default_rng(seed)
         values = np.sort(draws(rng, how, n))
         values[n // 2 :] += 1.0
-        apart = np.flatnonzero(np.diff(values) > SAME * (values[-1] - values[0]))
+        apart = np.flatnonzero(np.diff(values) > SAME_VALUE_SHARE * (values[-1] - values[0]))
         low, high = values[apart], values[apart + 1]
         expected = []
         for k, step in enumerate(high - low):
-            around = np.delete((high - low)[max(k - NEIGHBOURS, 0) : k + 1 + NEIGHBOURS], min(k, NEIGHBOURS))
-            if len(around) >= FEWEST and step > WIDE * around.mean():
+            around = np.delete(
+                (high - low)[max(k - NEIGHBOURING_STEPS, 0) : k + 1 + NEIGHBOURING_STEPS], min(k, NEIGHBOURING_STEPS)
+            )
+            if len(around) >= FEWEST_STEPS_AROUND_HOLE and step > HOLE_FACTOR * around.mean():
                 expected.append((low[k] + EDGE * around.mean(), high[k] - EDGE * around.mean()))
         np.testing.assert_allclose(
             np.array(holes(values)).reshape(-1, 2), np.array(expected).reshape(-1, 2), rtol=1e-12

@@ -18,7 +18,7 @@ from aridcal.engine.corrections.basis import Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.levels import PRICE
 from aridcal.engine.search import set_exchange
-from aridcal.engine.search.evidence import NOTHING, Solution
+from aridcal.engine.search.evidence import NO_SCORE, Solution
 from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.sets import Choices, evidence_of_set
 from aridcal.engine.search.state import State, solve_state
@@ -42,7 +42,7 @@ LIBRARY = [curve(joint, order) for joint in JOINTS for order in (1.0, 2.0, 3.0)]
 
 
 def taken(*effects: Effect) -> list[ActiveEffect]:
-    return [ActiveEffect(effect, NOTHING, np.eye(len(effect.coefficients))) for effect in effects]
+    return [ActiveEffect(effect, NO_SCORE, np.eye(len(effect.coefficients))) for effect in effects]
 
 
 def test_the_cost_of_a_set_is_that_of_drawing_it_from_all_sets_of_its_kind():

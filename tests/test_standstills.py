@@ -12,7 +12,15 @@ from scipy.linalg import block_diag
 
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.scatter import Scatter, place
-from aridcal.engine.fit.shared_readings import COLUMNS, OF_ONE, clumps, representative, stack, standstills, with_things
+from aridcal.engine.fit.shared_readings import (
+    MOST_CLUMP_UNKNOWNS,
+    MOST_STANDSTILL_ROWS,
+    clumps,
+    representative,
+    stack,
+    standstills,
+    with_things,
+)
 from aridcal.engine.fit.stages import fit_geometry
 from aridcal.engine.fit.variance_components import add_component, estimate
 from aridcal.engine.rows.dataset import Dataset, with_places
@@ -165,14 +173,14 @@ def test_of_many_rows_whole_standstills_are_asked_and_few_markers(tmp_path: Path
     some = representative(question, every, 60)
     number = standstills(rows)
     assert question.groups is not None
-    assert 60 <= len(some) <= 60 + OF_ONE
+    assert 60 <= len(some) <= 60 + MOST_STANDSTILL_ROWS
     assert np.array_equal(np.sort(np.flatnonzero(np.isin(number, number[some]))), some)
     assert np.array_equal(some, representative(question, every, 60))
     # Twenty markers have 60 unknowns; of four times as many the most seen would stay.
     many = replace(question.groups, unknown=np.ones((len(question.groups.unknown), 12), dtype=bool))
     kept = representative(replace(question, groups=many), every, len(rows))
     groups = np.unique(question.groups.row[kept])
-    assert 12 * len(groups) == COLUMNS
+    assert 12 * len(groups) == MOST_CLUMP_UNKNOWNS
     seen = np.bincount(question.groups.row)
     assert seen[groups].min() >= np.delete(seen, groups).max()
 

@@ -20,7 +20,7 @@ from aridcal.jobs.calibrate.pipeline import identify
 from aridcal.jobs.fleet import trials as room
 from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.fleet.study_figures import median, points, recurrent_effects, scatters, share
-from aridcal.jobs.fleet.study_records import SCHEMA, StudyResult, earlier_runs, studied
+from aridcal.jobs.fleet.study_records import STUDY_SCHEMA, StudyResult, earlier_runs, studied
 from aridcal.jobs.fleet.trials import Case, Trial, half_of_rows, load_study, run_trial, search_in_words, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.jobs.simulate.simulation import simulate, write_campaign
@@ -72,9 +72,9 @@ def test_every_case_has_its_runs_and_the_table_its_columns(done: tuple[Path, Stu
         (n, size, run) for n in (30, 60) for size in (0.0, 1.0) for run in (0, 1)
     }
     assert {row["status"] for row in found.rows} == {"done"}
-    assert pyarrow.parquet.read_table(path.parent / "study.parquet").schema.names == SCHEMA.names
+    assert pyarrow.parquet.read_table(path.parent / "study.parquet").schema.names == STUDY_SCHEMA.names
     text = (ROOT / "docs" / "formats.md").read_text("utf-8").split("### Studies")[1]
-    assert [name for name in SCHEMA.names if f"`{name}`" not in text] == []
+    assert [name for name in STUDY_SCHEMA.names if f"`{name}`" not in text] == []
 
 
 def test_an_effect_of_ten_times_the_noise_is_named_and_none_of_it_is_not(done: tuple[Path, StudyResult]) -> None:

@@ -20,7 +20,7 @@ from aridcal.command_line import BAD_INPUT, DONE, NOT_GOOD
 from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.noise import repeats
-from aridcal.engine.fit.problem import BLOCK, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, problem
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.certainty import as_document
 from aridcal.engine.trust.tolerance import (
@@ -400,7 +400,7 @@ def test_rows_judged_in_stretches_are_judged_as_all_at_once(turn: bool) -> None:
     """Of many rows covariances are worked out some at a time: the sums are those of each row by itself."""
     truth, first = arm()
     rng = np.random.default_rng(7)
-    count = 2 * BLOCK + 100
+    count = 2 * ROWS_PER_BLOCK + 100
     rows = measured(truth, robots.readings(truth.model.robot, count, rng), rng)
     odd = rng.random(count) < 0.01
     residual, tool = problem(first.model, rows).residual(first.theta), np.array([0.1, 0.2, -0.3])

@@ -19,7 +19,15 @@ from aridcal.engine.fit.least_squares import Fit, fit, fit_identifiable
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.workspace import TOLD, Knowledge, Workspace, ends, knowledge, spread_out, worst_direction
+from aridcal.engine.trust.workspace import (
+    KNOWN_TARGET_SIGMA,
+    Knowledge,
+    Workspace,
+    ends,
+    knowledge,
+    spread_out,
+    worst_direction,
+)
 from aridcal.system.errors import AridcalError
 
 NOISE = 1e-4
@@ -101,7 +109,7 @@ def test_a_point_beside_a_target_whose_turns_nobody_saw_is_not_known(kind: str, 
     assert looked(found, rows, q)[1].told.all()
     beside = looked(found, rows, q, TOOL)[1]
     assert beside.told.all() == told and beside.told.any() == told
-    assert (beside.sigma < TOLD).all() == told
+    assert (beside.sigma < KNOWN_TARGET_SIGMA).all() == told
 
 
 def test_what_nobody_can_tell_of_a_target_does_not_make_it_unsure() -> None:

@@ -19,10 +19,10 @@ from pydantic import (
     model_validator,
 )
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
 from aridcal.engine.corrections.loads import PAYLOAD, Payload
 from aridcal.engine.fit.question import EndFrame, Question
-from aridcal.engine.instruments.kinds import KINDS as MEASURED
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as MEASURED
 from aridcal.engine.instruments.kinds import labelled
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, load_robot, with_limbs
@@ -33,7 +33,7 @@ from aridcal.files.instrument_settings import InstrumentSettings, Placement, Tar
 from aridcal.files.measurement_settings import MeasurementSettings, Names, listed, one_of
 from aridcal.files.purposes import About, DesignSettings, Region, StudySettings, ToleranceSettings, position_alone
 from aridcal.files.yaml_file import (
-    LARGEST,
+    LARGEST_SETTING,
     AnySection,
     Number,
     RelativePath,
@@ -54,7 +54,7 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 def _all_kinds(candidates: Any) -> Any:
     """Names of kinds; `all` for those that need not be asked for."""
-    usual = [name for name, kind in KINDS.items() if not kind.asked]
+    usual = [name for name, kind in EFFECT_KINDS.items() if not kind.asked]
     named = listed(candidates)
     if named is None:
         return None
@@ -63,7 +63,7 @@ def _all_kinds(candidates: Any) -> Any:
 
 
 # Name of a row of the table of kinds.
-KindName = Annotated[str, one_of(KINDS)]
+KindName = Annotated[str, one_of(EFFECT_KINDS)]
 
 
 def _as_xacro(value: Any) -> Any:
@@ -109,7 +109,9 @@ class RobotSettings(ArmSettings):
     @classmethod
     def _vector_or_world(cls, gravity: Any) -> Any:
         listed = isinstance(gravity, list | tuple) and len(gravity) == 3
-        if gravity != "world" and not (listed and all(type(g) in (int, float) and abs(g) <= LARGEST for g in gravity)):
+        if gravity != "world" and not (
+            listed and all(type(g) in (int, float) and abs(g) <= LARGEST_SETTING for g in gravity)
+        ):
             raise ValueError("should be `world` or [x, y, z] in m/s²")
         return gravity
 
@@ -161,7 +163,7 @@ class ParameterSettings(Section):
 
 def _kinds_with(key: str) -> str:
     """Names of the kinds that a key of a declaration belongs to, in words."""
-    return " or ".join(kind.name for kind in KINDS.values() if kind.key == key)
+    return " or ".join(kind.name for kind in EFFECT_KINDS.values() if kind.key == key)
 
 
 class Moment(Section):
@@ -202,7 +204,7 @@ class EffectDeclaration(Section):
 
     @model_validator(mode="after")
     def _fits_the_kind(self) -> EffectDeclaration:
-        key, words = KINDS[self.kind].key, KINDS[self.kind].bys
+        key, words = EFFECT_KINDS[self.kind].key, EFFECT_KINDS[self.kind].bys
         if (self.with_ is not None) != (key == "with"):
             raise ValueError(f"`with: JOINT` belongs to a {_kinds_with('with')}, which needs it; write it there alone")
         if self.by is not None and key != "by":
@@ -319,7 +321,7 @@ class JobSettings(Settings):
                 )
         pixels = any(block.traits.images for block in self.blocks)
         for number, effect in enumerate(self.effects):
-            of_camera = KINDS[effect.kind].of_head == "camera"
+            of_camera = EFFECT_KINDS[effect.kind].of_head == "camera"
             if is_of_head(effect.kind) and not (pixels and of_camera):
                 of = "`kind: camera_sonar`" + (" or `kind: pixels`" if of_camera else "")
                 raise ValueError(f"effects[{number}].kind: {effect.kind} needs {of}")

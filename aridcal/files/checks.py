@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.rows.repeats import first_alike, tolerances
 from aridcal.files.instrument_settings import ArmCameraSettings
 from aridcal.files.measurement_settings import BEYOND_REACH
-from aridcal.files.quantities import POSITION, STD, TURNS, TableSource
+from aridcal.files.quantities import POSITION_COLUMNS, STD, TWO_TURNS, TableSource
 from aridcal.files.yaml_file import FINEST
 from aridcal.system.errors import MeasurementError
 
@@ -30,7 +30,7 @@ LEAST_SPAN = 0.02
 LEAST_TURN = 0.5
 
 # Once round, [rad].
-TURN = 2 * np.pi
+LARGEST_TURN_RAD = 2 * np.pi
 
 # Share of the rows that must be impossible before all are refused: fewer are bad rows, not a wrong unit.
 IMPOSSIBLE_SHARE = 0.5
@@ -111,8 +111,8 @@ def note_limits(source: TableSource, q: np.ndarray) -> None:
         above, below = reading - high, low - reading
         beyond = np.maximum(below, above)
         if kind == "continuous" and np.isfinite([low, high]).all():
-            past_low = np.mod(-below, TURN)
-            beyond = np.minimum(past_low - (high - low), np.mod(below, TURN))
+            past_low = np.mod(-below, LARGEST_TURN_RAD)
+            beyond = np.minimum(past_low - (high - low), np.mod(below, LARGEST_TURN_RAD))
         why = f"outside the limits {low:.6g} .. {high:.6g} of {joint}"
         for row in rows[beyond > LIMIT_SLACK].tolist():
             source.notices.append(source.table.remark(row, source.joint_columns[k], why))
@@ -142,7 +142,7 @@ def _refuse_impossible(source: TableSource, q: np.ndarray, limits: np.ndarray, t
     """Refuse readings of which most are outside their limits and further than any joint moves."""
     limited = np.isfinite(limits).all(axis=1)
     outside = limited & ((q < limits[:, 0]) | (q > limits[:, 1]))
-    impossible = outside & (np.abs(q) > np.where(turning, TURNS, BEYOND_REACH))
+    impossible = outside & (np.abs(q) > np.where(turning, TWO_TURNS, BEYOND_REACH))
     if impossible.any(axis=1).mean() <= IMPOSSIBLE_SHARE:
         return
     bad = impossible.any(axis=0)
@@ -154,9 +154,9 @@ def _refuse_impossible(source: TableSource, q: np.ndarray, limits: np.ndarray, t
 
 def _note_odd_angles(source: TableSource, turns: np.ndarray) -> None:
     """Mention angles that may be in the other unit, from absolute readings of shape (N, turning joints), [rad]."""
-    if turns.size and np.median(turns.max(axis=1)) > TURNS:
+    if turns.size and np.median(turns.max(axis=1)) > TWO_TURNS:
         source.note("", "most rows have a joint beyond two turns: are the angles in degrees (`units: {angle: deg}`)?")
-    if turns.any() and source.settings.units.angle == "deg" and turns.max() < np.radians(TURN):
+    if turns.any() and source.settings.units.angle == "deg" and turns.max() < np.radians(LARGEST_TURN_RAD):
         source.note("", "no joint turns beyond 6.3 degrees: are the angles in radians (`units: {angle: rad}`)?")
 
 
@@ -164,7 +164,7 @@ def _check_positions(source: TableSource, position: np.ndarray, travel: np.ndarr
     """Refuse positions (N, 3), [m], that no arm reaches, or that stay in place though joints turn by ``travel`` [rad]."""
     units = source.settings.units
     if np.median(np.linalg.norm(position, axis=1)) > BEYOND_REACH:
-        columns = [source.column(name) for name in POSITION]
+        columns = [source.column(name) for name in POSITION_COLUMNS]
         error = source.wrong_unit(columns, "length", float(np.abs(position).max()))
         raise MeasurementError(f"{error}; if they are right, move the origin of the world near the robot")
     span = float(np.linalg.norm(np.ptp(position, axis=0)))

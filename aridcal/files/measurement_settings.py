@@ -13,9 +13,9 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator, model_validator
 
 from aridcal.engine.instruments.kind import MeasurementKind
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.files.formats.robot_calibration import NAME
-from aridcal.files.yaml_file import FINEST, LARGEST, RelativePath, Section
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.files.formats.robot_calibration import FORMAT_NAME
+from aridcal.files.yaml_file import FINEST, LARGEST_SETTING, RelativePath, Section
 from aridcal.system.errors import CampaignError, nearest, shortened
 from aridcal.system.reading.dialect import BLANKS, PLAIN, Dates, Dialect
 from aridcal.system.reading.user_names import check_name
@@ -70,7 +70,7 @@ def with_unit(text: object, units: Mapping[str, float], example: str) -> float:
         ValueError: it is none, or has no unit.
     """
     number, unit = amount(text)
-    if unit not in units or not 0.0 < number < LARGEST:
+    if unit not in units or not 0.0 < number < LARGEST_SETTING:
         raise ValueError(
             f"should be a number with its unit ({', '.join(units)}), {example} for instance, not {shortened(str(text))!r}"
         )
@@ -207,7 +207,7 @@ class TableSettings(Section):
             names=self.names,
             lists=dict(self.lists),
             dates=Dates(self.dates.order, self.dates.columns) if self.dates else None,
-            export=NAME if self.export else "",
+            export=FORMAT_NAME if self.export else "",
         )
 
     @property
@@ -320,7 +320,7 @@ class JointColumn(Section):
     @classmethod
     def _has_its_unit(cls, zero: object) -> object:
         number, unit = amount(zero)
-        if unit not in {**ANGLES, **LENGTHS} or abs(number) > LARGEST:
+        if unit not in {**ANGLES, **LENGTHS} or abs(number) > LARGEST_SETTING:
             raise ValueError(
                 f"should be a number with its unit ({', '.join([*ANGLES, *LENGTHS])}), 90deg for instance: what the column shows "
                 f"where the URDF's joint is at 0; not {shortened(str(zero))!r}"
@@ -345,7 +345,7 @@ class MeasurementSettings(Section):
     files: Annotated[tuple[RelativePath, ...], BeforeValidator(listed)] = Field(default=(), alias="file")
     head: RelativePath | None = None
     """Settings of the measuring head; for `kind: camera_sonar`."""
-    kind: Annotated[str, one_of(tuple(KINDS))] = "pose"
+    kind: Annotated[str, one_of(tuple(MEASUREMENT_KINDS))] = "pose"
     name: str | None = None
     """Name of the block; `None`: its kind."""
     camera: str | None = None
@@ -423,7 +423,7 @@ class MeasurementSettings(Section):
     @property
     def traits(self) -> MeasurementKind:
         """Its kind's row of the table of kinds."""
-        return KINDS[self.kind]
+        return MEASUREMENT_KINDS[self.kind]
 
     @property
     def title(self) -> str:

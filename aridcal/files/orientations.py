@@ -13,7 +13,7 @@ from aridcal.files.measurement_settings import MeasurementSettings
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-POSITION = ("x", "y", "z")
+POSITION_COLUMNS = ("x", "y", "z")
 QUATERNION = ("qx", "qy", "qz", "qw")
 IDENTITY = (0.0, 0.0, 0.0, 1.0)
 

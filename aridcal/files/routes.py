@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.things import InstrumentDeclarations
@@ -34,7 +34,7 @@ def routes_of(
     """
     if links is not None:
         return [_between(*links, tip)] * len(refers)
-    roles = [role.name for role in KINDS[kind].roles]
+    roles = [role.name for role in MEASUREMENT_KINDS[kind].roles]
     targets = np.full(len(refers), "") if target is None else target
     labels = np.column_stack([refers, targets]).astype(str)
     distinct, number = np.unique(labels, axis=0, return_inverse=True)

@@ -26,15 +26,15 @@ from aridcal.files.instrument_settings import (
     PlaneSettings,
 )
 from aridcal.files.measurement_settings import BEYOND_REACH
-from aridcal.files.yaml_file import FINEST, LARGEST
+from aridcal.files.yaml_file import FINEST, LARGEST_SETTING
 from aridcal.system.errors import CampaignError, MeasurementError, name_list, nearest
-from aridcal.system.reading.regular_files import TABLE, Limit
+from aridcal.system.reading.regular_files import TABLE_LIMIT, Limit
 from aridcal.system.reading.user_names import check_name
 
-BOARD = "board_on_"
+BOARD_PREFIX = "board_on_"
 """A board is called after what carries it."""
 
-RESERVED = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
+RESERVED_NAMES = re.compile("world_base|tip_target|tip_camera|camera|sonars|sonar_\\d+")
 """Places of corrections beside the joints: a thing of such a name could not be told from them."""
 
 UNDECLARED: dict[str, AnchorSettings | PlaneSettings] = {"anchor": AnchorSettings(), "plane": PlaneSettings()}
@@ -59,7 +59,7 @@ class KnownPlace:
     on: str = ""
 
 
-def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPlace]:
+def load_places(path: Path, key: str, limit: Limit = TABLE_LIMIT) -> dict[str, KnownPlace]:
     """Read ``points.csv`` or ``markers.csv``: columns ``point`` or ``marker``, x y z, and perhaps std; [m].
 
     Args:
@@ -87,9 +87,11 @@ def load_places(path: Path, key: str, limit: Limit = TABLE) -> dict[str, KnownPl
             raise MeasurementError(str(table.remark(row, key, why)))
         for name, value in zip(numbers, cells.tolist(), strict=True):
             exact = name == "std" and table.cell(row, name).strip() == ""
-            if not exact and not (abs(value) <= LARGEST and (name != "std" or value >= FINEST)):
+            if not exact and not (abs(value) <= LARGEST_SETTING and (name != "std" or value >= FINEST)):
                 what = "a positive number, or empty where the place is exact" if name == "std" else "a number"
-                raise MeasurementError(str(table.remark(row, name, f"should be {what}, not beyond {LARGEST:g}")))
+                raise MeasurementError(
+                    str(table.remark(row, name, f"should be {what}, not beyond {LARGEST_SETTING:g}"))
+                )
         std = float(cells[3]) if len(cells) > 3 and np.isfinite(cells[3]) else np.inf
         places[label] = KnownPlace(cells[:3], std, str(on[row]).strip())
     if np.median(np.linalg.norm(values[:, :3], axis=1)) > BEYOND_REACH:
@@ -117,12 +119,12 @@ class InstrumentDeclarations:
 
     def board_of(self, camera: str, marker: str = "") -> str:
         """Name of the board of a marker that a camera looks at; without one, of markers that are in no table."""
-        return BOARD + (self.markers[marker].on if marker in self.markers else self.settings.sides[camera])
+        return BOARD_PREFIX + (self.markers[marker].on if marker in self.markers else self.settings.sides[camera])
 
     @cached_property
     def boards(self) -> dict[str, MarkerSettings]:
         """Boards whose markers are known, by their names."""
-        return {BOARD + carrier: board for carrier, board in self.settings.boards.items()}
+        return {BOARD_PREFIX + carrier: board for carrier, board in self.settings.boards.items()}
 
     def carrier(self, role: str, label: str) -> str:
         """Carrier of a thing: ``tip``, ``world`` or a link."""
@@ -130,7 +132,7 @@ class InstrumentDeclarations:
         if label in declared:
             return declared[label].on
         if role == "board":
-            return label.removeprefix(BOARD)
+            return label.removeprefix(BOARD_PREFIX)
         if role == GRASP.name:
             return ""  # links that its block names
         if role == "point":
@@ -215,7 +217,7 @@ def with_trackers(
         joints: Names that no thing may have.
     """
     names = {*joints, *np.unique(refers).tolist()}
-    titles = [f"block {b.name}" if b.name in names or RESERVED.fullmatch(b.name) else b.name for b in blocks]
+    titles = [f"block {b.name}" if b.name in names or RESERVED_NAMES.fullmatch(b.name) else b.name for b in blocks]
     label = np.array([name if b.traits.tracked else "" for name, b in zip(titles, blocks, strict=True)])[block]
     return np.column_stack([np.where(label != "", label, refers[:, 0]), refers[:, 1:]])
 
@@ -281,7 +283,7 @@ def _check_names(by_role: dict[str, tuple[str, ...]], joints: Collection[str]) -
                 what = "a joint"
             elif label in others:
                 what = "another thing"
-            elif RESERVED.fullmatch(label):
+            elif RESERVED_NAMES.fullmatch(label):
                 what = "a place of corrections"
             else:
                 continue

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from aridcal import __version__
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.iso9283 import STANDARD
 from aridcal.engine.trust.tolerance import CONFIDENCE, SHARE
@@ -31,8 +31,8 @@ from aridcal.jobs.calibrate.verdict import VERDICTS
 from aridcal.pages.drawing.html import attempt, collect_notices, note
 from aridcal.pages.drawing.one_page import OnePage, Part, as_html, as_pdf
 from aridcal.pages.drawing.words import (
-    LONGEST_NAME,
-    NOT_STATED,
+    LONGEST_SHOWN_NAME,
+    NOT_STATED_WORDS,
     certificate_subject,
     noise_unknown_in_words,
     printable_name,
@@ -42,7 +42,7 @@ from aridcal.pages.report.iso_section import cycles_in_words, lines
 from aridcal.system.errors import printable, shortened
 from aridcal.system.wording import number, plural, range_in_words
 
-FILES = ("certificate.html", "certificate.pdf")
+CERTIFICATE_FILES = ("certificate.html", "certificate.pdf")
 
 OWN = (
     "Computed by aridcal {} from measurements of those who are named below. It is not issued by an accredited laboratory, and is "
@@ -52,7 +52,7 @@ OWN = (
 COVERAGE = 2.0
 """Coverage factor k: for normal noise 95 % of one direction's errors are within two standard deviations."""
 
-MOST_JOINTS = 24
+MOST_LISTED_JOINTS = 24
 """Joints whose ranges are stated; an arm has seven."""
 
 MOST_COVARIATES, MOST_GAPS = 8, 8
@@ -72,7 +72,7 @@ MOST_CHANNELS = 8
 
 MODELS = "Before: the nominal URDF with only the unknown frames fitted. After: the calibrated model."
 
-LIMITS = (
+LIMITS_SENTENCE = (
     "Outside these ranges the model extrapolates. It holds for the robot as it was measured: not after a collision, a change of "
     "motor, gear or encoder, nor for loads and temperatures that were not measured."
 )
@@ -111,7 +111,7 @@ def _drawn(page: OnePage) -> dict[str, bytes]:
             f"certificate.pdf: no font of this computer has {shortened(lacking, MOST_LACKING)}: boxes stand there. Install a "
             "font that has them (Noto Sans CJK, for instance), or use certificate.html"
         )
-    return dict(zip(FILES, (html, content), strict=True))
+    return dict(zip(CERTIFICATE_FILES, (html, content), strict=True))
 
 
 def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.date) -> OnePage:
@@ -143,7 +143,7 @@ def certificate(outcome: Outcome, about: About, folder: Path, issued: datetime.d
             Part("Robot and measurement", facts=list(_facts(outcome, about))),
             _errors(outcome, judged),
             Part("Uncertainty of the calibrated target", words=[_uncertainty(outcome, target)]),
-            Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS]),
+            Part("Where it is valid", facts=list(_validity(outcome)), words=[LIMITS_SENTENCE]),
             *_iso(outcome),
             Part("Files", table=[("file", "sha256"), *_hashes(outcome, folder)]),
         ],
@@ -192,7 +192,7 @@ def _facts(outcome: Outcome, about: About) -> Iterator[tuple[str, str]]:
     m, robot = outcome.measurements, outcome.robot
     yield from certificate_subject(about, robot, m)
     temperatures = _some(list(_temperatures(m)), MOST_COVARIATES)
-    yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED
+    yield "Environment", "; ".join(filter(None, (about.environment, temperatures))) or NOT_STATED_WORDS
     used = f"{plural(len(m), 'row')} of {', '.join(kinds_in_words(m))}, {m.test.sum():,} of them held out"
     sought = "" if outcome.diagnosis is None else f" and {plural(len(outcome.effects), 'effect')}"
     corrections = sum(p["status"] == "identified" for p in constants(outcome))
@@ -208,7 +208,7 @@ def kinds_in_words(m: Dataset) -> list[str]:
     """What the rows measure, each once."""
     if m.direct:
         return ["poses" if m.sees_turns else "positions"]
-    return list(dict.fromkeys(KINDS[block.kind].words for block in m.blocks))
+    return list(dict.fromkeys(MEASUREMENT_KINDS[block.kind].words for block in m.blocks))
 
 
 def _temperatures(m: Dataset) -> Iterator[str]:
@@ -329,7 +329,7 @@ def _validity(outcome: Outcome) -> Iterator[tuple[str, str]]:
     robot, ranges = outcome.robot, fitted_values(outcome)
     kinds = dict(zip(robot.readings, robot.kinds, strict=True))
     joints = [f"{printable_name(name)} {range_in_words(ends(ranges[name]), kinds[name])}" for name in robot.readings]
-    yield "Joints", _some(joints, MOST_JOINTS)
+    yield "Joints", _some(joints, MOST_LISTED_JOINTS)
     others = [(name, *ends(values)) for name, values in ranges.items() if name not in kinds]
     if others:
         shown = [f"{printable_name(name)} {number(low)} to {number(high)}" for name, low, high in others]
@@ -368,7 +368,7 @@ def _hashes(outcome: Outcome, folder: Path) -> Iterator[tuple[str, str]]:
     if m.origin.sha256:
         files = [path.name for path in m.origin.files]
         one = printable_name(files[0]) if len(files) == 1 else f"{len(files)} files of measurements: {', '.join(files)}"
-        yield shortened(printable(one), LONGEST_NAME) + _joined(m), m.origin.sha256
+        yield shortened(printable(one), LONGEST_SHOWN_NAME) + _joined(m), m.origin.sha256
     for name in HASHED:
         yield name, sha256((folder / name).read_bytes())
 

@@ -16,7 +16,7 @@ from aridcal.pages.drawing.page_frame import framed_page, sections
 from aridcal.pages.report.page import draw_section
 from aridcal.system.wording import number, plus_minus, reading_in_words, shown_unit
 
-MOST_LISTED = 40
+MOST_LISTED_COEFFICIENTS = 40
 """Coefficients that the page lists; `compare.json` has all."""
 
 
@@ -100,8 +100,8 @@ def _constants(comparison: Comparison) -> Iterator[Content]:
         "These stand for one another where rows tell them only together: one change may show in several. The causes above "
         "are what remains when that is taken into account.",
     )
-    rows = [_coefficient(row) for row in every[:MOST_LISTED]]
-    which = "" if len(every) <= MOST_LISTED else f"; the {MOST_LISTED} surest of {len(every)}"
+    rows = [_coefficient(row) for row in every[:MOST_LISTED_COEFFICIENTS]]
+    which = "" if len(every) <= MOST_LISTED_COEFFICIENTS else f"; the {MOST_LISTED_COEFFICIENTS} surest of {len(every)}"
     yield table(["coefficient", "first", "second", "change", "unit", "p"], rows, f"Coefficients of both{which}")
 
 

@@ -11,10 +11,10 @@ import pandas as pd
 from aridcal.jobs.fleet.drifts import drifting
 from aridcal.jobs.fleet.outliers import OutlyingFigure, outlying_robots
 from aridcal.jobs.fleet.row_figures import STAGES, are_done, channels_of, error_of
-from aridcal.jobs.fleet.run_record import SCHEMA, Row, typed
+from aridcal.jobs.fleet.run_record import RUN_SCHEMA, Row, typed
 from aridcal.jobs.fleet.runs import FleetResults
 from aridcal.jobs.fleet.study_figures import CaseFigures, ConstantScatter, Estimate, points, recurrent_effects, scatters
-from aridcal.jobs.fleet.study_records import SCHEMA as OF_RUNS
+from aridcal.jobs.fleet.study_records import STUDY_SCHEMA as OF_RUNS
 from aridcal.jobs.fleet.study_records import StudyResult
 
 ROBOT_COLUMNS = ("robot", "status", "measured", "rows", "verdict", "error")
@@ -43,7 +43,7 @@ def nested_table(ran: FleetResults, column: str) -> pd.DataFrame:
         column: ``effects`` or ``constants``, as in ``fleet.parquet``.
     """
     rows = [{"robot": row["robot"]} | entry for row in are_done(list(ran.now.values())) for entry in row[column]]
-    return pd.DataFrame(rows, columns=["robot", *(field.name for field in SCHEMA.field(column).type.value_type)])
+    return pd.DataFrame(rows, columns=["robot", *(field.name for field in RUN_SCHEMA.field(column).type.value_type)])
 
 
 def outstanding_table(ran: FleetResults) -> pd.DataFrame:

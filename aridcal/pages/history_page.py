@@ -28,7 +28,7 @@ MOST_PICTURED = 24
 MOST_PICTURED_CYCLES = 6
 """Constants that may go with the season that it draws."""
 
-MOST_LISTED = 200
+MOST_LISTED_ROBOTS = 200
 """Robots that the page lists."""
 
 MOST_CYCLES = 4
@@ -250,7 +250,7 @@ def _picture(w: ConstantHistory) -> Markup:
 def _robots(history: History) -> Iterator[Content]:
     """A line for each robot."""
     rows: list[list[Content]] = []
-    for robot in history.robots[:MOST_LISTED]:
+    for robot in history.robots[:MOST_LISTED_ROBOTS]:
         _, final = robot.error("final")
         words = ", ".join(f"{w.name}: {w.change.kind}" for w in robot.alarms if w.change)
         season = f"{_some([w.name for w in robot.cycles])}: perhaps the season" if robot.cycles and not words else ""
@@ -265,7 +265,7 @@ def _robots(history: History) -> Iterator[Content]:
                 sparkline(final, f"RMS error of {robot.name} after calibration, run by run"),
             ]
         )
-    more = f"; {MOST_LISTED} of {len(history.robots)}" if len(history.robots) > MOST_LISTED else ""
+    more = f"; {MOST_LISTED_ROBOTS} of {len(history.robots)}" if len(history.robots) > MOST_LISTED_ROBOTS else ""
     titles = ["robot", "changed", "runs", "last run", "RMS before", "RMS after", "RMS after, over time"]
     yield table(titles, rows, f"Errors on held-out rows of the last run, before and after calibration{more}", numbers=2)
 

@@ -34,7 +34,7 @@ INDICES = (
 LEAST_TIMES_USUAL_LOSS = 2.0
 """A configuration that matters to a suspect so many times as much as the mean one is named for it."""
 
-MOST_NAMED = 3
+MOST_NAMED_SUSPECTS = 3
 """Suspects named for one configuration, those first to which it matters most."""
 
 
@@ -162,7 +162,7 @@ def _telling(plan: Plan) -> Iterator[Content]:
         return
     lines: list[list[Content]] = []
     for name, loss in zip(coverage.suspects, coverage.loss.T, strict=True):
-        best = np.argsort(-loss, kind="stable")[:MOST_NAMED]
+        best = np.argsort(-loss, kind="stable")[:MOST_NAMED_SUSPECTS]
         words = ", ".join(f"{k + 1} ({_percent(loss[k])})" for k in best.tolist())
         lines.append([name, words])
     caption = (
@@ -188,7 +188,9 @@ def _one_by_one(plan: Plan, robot: Robot) -> Iterator[Content]:
         joints = [reading_in_words(v, kind) for v, kind in zip(reading.tolist(), robot.kinds, strict=True)]
         loss = coverage.loss[k]
         telling = [
-            i for i in np.argsort(-loss, kind="stable")[:MOST_NAMED] if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
+            i
+            for i in np.argsort(-loss, kind="stable")[:MOST_NAMED_SUSPECTS]
+            if loss[i] > LEAST_TIMES_USUAL_LOSS * usual[i]
         ]
         words = ", ".join(f"{coverage.suspects[i]} ({_percent(loss[i])})" for i in telling)
         way = ["a point before it" if plan.by_way[k] else "straight"] if plan.directions else []

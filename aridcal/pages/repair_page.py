@@ -22,7 +22,7 @@ from aridcal.pages.report.limits_section import use
 from aridcal.pages.report.page import draw_section, foot
 from aridcal.system.wording import number, plural, plus_minus, shown_unit
 
-MOST_ROWS = 40
+MOST_LISTED_ROWS = 40
 """New rows that the page lists; of more the worst."""
 
 
@@ -148,14 +148,18 @@ def _rows(repair: RepairOutcomes) -> Iterator[Content]:
         norms(residual, m.channels) for residual in (repair.rows.stage("before").residual, last, repair.left_out)
     ]
     channels = [k for k in range(len(m.channels)) if m.measures[:, k].any()]
-    order = m.as_read if len(m) <= MOST_ROWS else np.argsort(-np.nan_to_num(columns[1][channels[0]]))[:MOST_ROWS]
+    order = (
+        m.as_read
+        if len(m) <= MOST_LISTED_ROWS
+        else np.argsort(-np.nan_to_num(columns[1][channels[0]]))[:MOST_LISTED_ROWS]
+    )
     lines: list[list[Content]] = []
     for row in order.tolist():
         own = [k for k in channels if m.measures[row, k]]
         part = "odd, not used" if repair.rows.outlier[row] else "held out" if m.test[row] else "used"
         cells = [", ".join(_shown(c[k][row], m.channels[k]) for k in own) for c in columns]
         lines.append([f"{m.origin.files[m.origin.file[row]].name}, row {m.origin.line[row]}", part, *cells])
-    which = "" if len(m) <= MOST_ROWS else f"; the {MOST_ROWS} worst of {len(m)}"
+    which = "" if len(m) <= MOST_LISTED_ROWS else f"; the {MOST_LISTED_ROWS} worst of {len(m)}"
     yield table(["new row", "part", "before", "after", "left out"], lines, f"Error of each new row{which}", numbers=2)
 
 

@@ -10,7 +10,14 @@ from markupsafe import Markup
 
 from aridcal import __version__
 from aridcal.jobs.fleet.run_record import FAILED, Row
-from aridcal.jobs.fleet.study_figures import CONFIDENCE, CaseFigures, Estimate, points, recurrent_effects, scatters
+from aridcal.jobs.fleet.study_figures import (
+    INTERVAL_CONFIDENCE,
+    CaseFigures,
+    Estimate,
+    points,
+    recurrent_effects,
+    scatters,
+)
 from aridcal.jobs.fleet.study_records import StudyResult
 from aridcal.pages.drawing.figures import COLOURS, banded_curves
 from aridcal.pages.drawing.html import Content, figures, table, tag
@@ -19,7 +26,7 @@ from aridcal.pages.fleet_sections import draw_section
 from aridcal.system.errors import shortened
 from aridcal.system.wording import number, plural, shown_unit
 
-INTERVAL = f"{100 * CONFIDENCE:.0f} % interval"
+INTERVAL = f"{100 * INTERVAL_CONFIDENCE:.0f} % interval"
 
 MOST_ERRORS = 10
 """Different reasons of failed runs that are told."""

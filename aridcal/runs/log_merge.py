@@ -21,7 +21,7 @@ from aridcal.pages.merge_page import lines
 from aridcal.system.errors import AridcalError, RobotError
 from aridcal.system.progress import SHOWN_REMARKS, Screen
 
-QUESTIONS = (
+MERGE_QUESTIONS = (
     "joints.time", "tracker.time", "joints.decimal", "tracker.decimal", "target",
     "table.sheet", "table.dates", "columns", "units", "orientation",
 )  # fmt: skip
@@ -85,7 +85,7 @@ def read_logs(
         AridcalError: the logs cannot be read.
     """
     asker = Chooser(choose, settled, drafts=False)
-    asker.check(QUESTIONS)
+    asker.check(MERGE_QUESTIONS)
     source = robot_description(urdf, {}, {})
     try:
         robot = load_robot(source.path, tip, None, packages=source.packages, arguments=source.arguments)

@@ -11,7 +11,7 @@ from aridcal.files.campaign import Campaign
 from aridcal.jobs.fleet.cluster import dask_engine
 from aridcal.jobs.fleet.local_engine import run_tasks
 from aridcal.jobs.fleet.run_record import FAILED
-from aridcal.jobs.fleet.study_records import NAME, StudyResult, earlier_runs, studied
+from aridcal.jobs.fleet.study_records import STUDY_TABLE, StudyResult, earlier_runs, studied
 from aridcal.jobs.fleet.trials import search_in_words, trials
 from aridcal.jobs.simulate.scenario import Scenario
 from aridcal.pages.study_page import study_page
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-PAGE = "study.html"
+STUDY_PAGE = "study.html"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -79,7 +79,7 @@ def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progres
     Raises:
         AridcalError: the folder cannot be used, or the engine not be had.
     """
-    with claimed(out, "folder", (NAME, PAGE)):
+    with claimed(out, "folder", (STUDY_TABLE, STUDY_PAGE)):
         out.mkdir(exist_ok=True)
         all_trials = trials(job)
         known_rows = earlier_runs(out, all_trials)
@@ -88,7 +88,7 @@ def repeated(job: Scenario | Campaign, out: Path, scheduler: str | None, progres
             results = studied(all_trials, known_rows, out, engine, progress)
         progress("drawing the page")
         title = job.path.absolute().parent.name + "/" + job.path.name
-        with atomic_file(out / PAGE) as path:
+        with atomic_file(out / STUDY_PAGE) as path:
             page = study_page(results, title, search_in_words(job), isinstance(job, Campaign))
             path.write_bytes(page.encode("utf-8", "replace"))
     return results

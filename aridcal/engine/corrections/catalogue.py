@@ -14,14 +14,14 @@ from aridcal.engine.corrections.effect_kind import Declaration, EffectKind, Obse
 from aridcal.engine.corrections.head_kinds import HEAD_KINDS
 from aridcal.engine.corrections.instrument_kinds import INSTRUMENT_KINDS
 from aridcal.engine.corrections.joint_kinds import JOINT_KINDS
-from aridcal.engine.corrections.labels import MOST_LABELS, STATION
+from aridcal.engine.corrections.labels import LABEL_COLUMN, MOST_LABELS
 from aridcal.engine.corrections.regional_kind import REGIONAL, RESIDUAL_FIELD
 from aridcal.engine.corrections.unknown_kind import UNKNOWN
 from aridcal.system.errors import CampaignError, nearest
 
 _ROWS = (*JOINT_KINDS, *CONDITION_KINDS, *INSTRUMENT_KINDS, *HEAD_KINDS, REGIONAL, RESIDUAL_FIELD, UNKNOWN)
 
-KINDS: dict[str, EffectKind] = {kind.name: kind for kind in _ROWS}
+EFFECT_KINDS: dict[str, EffectKind] = {kind.name: kind for kind in _ROWS}
 """Every kind of effect, in the order in which they are tried: the only list of them."""
 
 CONSTANT_COLUMN = 1e-9
@@ -38,7 +38,7 @@ class UntestableEffect:
 
 def is_of_head(kind: str) -> bool:
     """True for a kind of the measuring head."""
-    return KINDS[kind].of_head != ""
+    return EFFECT_KINDS[kind].of_head != ""
 
 
 def usable_columns(columns: Mapping[str, np.ndarray]) -> tuple[tuple[str, ...], list[UntestableEffect]]:
@@ -70,7 +70,7 @@ def barred_joints(rows: ObservedRows) -> list[UntestableEffect]:
 
 def candidates(rows: ObservedRows, kinds: Iterable[str]) -> list[Effect]:
     """All effects of some kinds that these rows can test."""
-    return [effect for kind in kinds for effect in KINDS[kind].testable(rows)]
+    return [effect for kind in kinds for effect in EFFECT_KINDS[kind].testable(rows)]
 
 
 def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect:
@@ -84,7 +84,7 @@ def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect
     Raises:
         CampaignError: there is no such effect on this robot or with these columns.
     """
-    d, kind = declaration, KINDS[declaration.kind]
+    d, kind = declaration, EFFECT_KINDS[declaration.kind]
     places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
     if d.where not in places:
         raise CampaignError(
@@ -101,9 +101,10 @@ def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect
         curves = [effect for effect in fitting if effect.smooth]  # they hold what the others can
         effects = curves or fitting
         effects = effects[:1] if kind.exclusive else effects
-    if not effects and d.by == STATION and len(rows.labels) < 2:
+    if not effects and d.by == LABEL_COLUMN and len(rows.labels) < 2:
         raise CampaignError(
-            f"{place}: effects: {d.kind} at {d.where} by {STATION} needs a column `{STATION}` with 2 to {MOST_LABELS} different "
+            f"{place}: effects: {d.kind} at {d.where} by {LABEL_COLUMN} needs a column `{LABEL_COLUMN}` with 2 to "
+            f"{MOST_LABELS} different "
             "labels; name it under measurements.columns"
         )
     if not effects:
@@ -190,7 +191,7 @@ def kinds_table() -> str:
     head = "| kind | acts at | what it is | functions | declared by |\n|---|---|---|---|---|\n"
     rows = [
         (f"[`{k.name}`](#{k.doc})", k.where, k.words, ", ".join(f"`{form}`" for form in k.bases), f"`{k.example}`")
-        for k in KINDS.values()
+        for k in EFFECT_KINDS.values()
     ]
     return head + "".join(f"| {' | '.join(row)} |\n" for row in rows)
 

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, ROW_ORDER, Coefficient, Effect
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, MOUNTING_FRAMES, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows, rounded_mean, slope
 
 STANDING = {
@@ -20,7 +20,7 @@ STANDING = {
 }
 """What moves of a thing that was knocked. A marker that is off is named by its residual; a tracker that moves moves the base."""
 
-SIDE = 6
+FEWEST_ROWS_OF_A_SIDE = 6
 """Rows at the least on either side of a step: fewer are outliers, not a new state. A step of one thing is sought from
 four times as many configurations of it: twice those that tell a step in its midst."""
 
@@ -39,7 +39,7 @@ def _thermal(rows: ObservedRows) -> Iterator[Effect]:
             if j.kind == "prismatic" and rows.moves(j):
                 growth = Basis("times_power", (column, j.name), (mean, 1.0, 1.0))
                 yield Effect("thermal", j.name, (Coefficient(j.name, "axis", growth),))
-        for where in FRAMES:
+        for where in MOUNTING_FRAMES:
             yield from _of_a_frame("thermal", where, column, mean)
 
 
@@ -57,7 +57,7 @@ def _drift(rows: ObservedRows) -> Iterator[Effect]:
     if "time" not in rows.measured:
         return
     mean = rounded_mean(rows.table["time"])
-    for where in FRAMES:
+    for where in MOUNTING_FRAMES:
         yield from _of_a_frame("drift", where, "time", mean)
     for j in rows.moving():
         yield Effect("drift", j.name, (slope(j.name, "axis", "time", mean),))
@@ -76,7 +76,9 @@ def _shift(rows: ObservedRows) -> Iterator[Effect]:
     step = Basis("step", (of,), (float(values[half - 1 : half + 1].mean()),))
     frames = {"world_base": FRAME_COMPONENTS, "tip_target": FRAME_COMPONENTS if rows.orientations else ("x", "y", "z")}
     things = [
-        (where, STANDING[role]) for (role, where), n in rows.referred.items() if role in STANDING and n >= 4 * SIDE
+        (where, STANDING[role])
+        for (role, where), n in rows.referred.items()
+        if role in STANDING and n >= 4 * FEWEST_ROWS_OF_A_SIDE
     ]
     things = things if len(things) <= MOST_STEPPED else []
     for where, motion in (*frames.items(), *((j.name, ("axis",)) for j in rows.moving()), *things):

@@ -8,7 +8,7 @@ from aridcal.engine.corrections.instrument_kinds import thing_effects
 LENS = (("k1",), ("k1", "k2"), ("k1", "k2", "k3"), ("p1", "p2"))
 """Terms of OpenCV's lens model that make sense together: radial ones of rising order; those of a lens askew."""
 
-HEAD = "head"
+HEAD_ROLE = "head"
 """Role of the measuring head, whose camera and sonars are places of their own."""
 
 
@@ -20,7 +20,7 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: lens_distortion, where: camera, motion: [k1, k2]}",
         doc="of-instruments",
-        testable=thing_effects("lens_distortion", ("camera", HEAD), *LENS),
+        testable=thing_effects("lens_distortion", ("camera", HEAD_ROLE), *LENS),
         of_head="camera",
         shown=("image_radius",),
     ),
@@ -31,7 +31,7 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: focal_length, where: camera}",
         doc="of-instruments",
-        testable=thing_effects("focal_length", ("camera", HEAD), ("f",), ("fx", "fy")),
+        testable=thing_effects("focal_length", ("camera", HEAD_ROLE), ("f",), ("fx", "fy")),
         of_head="camera",
         shown=("image_radius",),
     ),
@@ -42,7 +42,7 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: principal_point, where: camera}",
         doc="of-instruments",
-        testable=thing_effects("principal_point", ("camera", HEAD), ("cx", "cy")),
+        testable=thing_effects("principal_point", ("camera", HEAD_ROLE), ("cx", "cy")),
         of_head="camera",
     ),
     EffectKind(
@@ -52,7 +52,7 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: sonar_bias, where: sonar_2}",
         doc="of-instruments",
-        testable=thing_effects("sonar_bias", (HEAD,), ("bias",)),
+        testable=thing_effects("sonar_bias", (HEAD_ROLE,), ("bias",)),
         of_head="sonar",
     ),
     EffectKind(
@@ -62,7 +62,7 @@ HEAD_KINDS = (
         bases=("ones",),
         example="{kind: sonar_scale, where: sonars}",
         doc="of-instruments",
-        testable=thing_effects("sonar_scale", (HEAD,), ("scale",)),
+        testable=thing_effects("sonar_scale", (HEAD_ROLE,), ("scale",)),
         of_head="sonar",
         shown=("range",),
     ),

@@ -7,9 +7,9 @@ from collections.abc import Callable, Collection, Iterator
 from aridcal.engine.corrections.basis import ALWAYS, Basis
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import EffectKind, ObservedRows
-from aridcal.engine.corrections.sights import LENGTH, PLACE, SAG
+from aridcal.engine.corrections.sights import LENGTH, PLATE_COORDINATES, SAG
 
-POWERS = (2.0, 3.0)
+WIRE_POWERS = (2.0, 3.0)
 """Of the distance, in which a wire's reading may be off: as its stretch under its own drag, or a drum's growing turns."""
 
 PLACES_EACH = 2
@@ -39,7 +39,7 @@ def _range_error(rows: ObservedRows) -> Iterator[Effect]:
     """A tracker that is off along the line of sight by its range squared; a wire that is off by a power of its length."""
     yield from thing_effects("range_error", ("tracker",), ("square",))(rows)
     for where in _of_role(rows, "anchor"):
-        for power in POWERS:
+        for power in WIRE_POWERS:
             basis = Basis("power", (where + LENGTH,), (0.0, 1.0, power))
             yield Effect("range_error", where, (Coefficient(where, "offset", basis),))
 
@@ -54,7 +54,7 @@ def _flatness(rows: ObservedRows) -> Iterator[Effect]:
     """A plate's height over its plane: the polynomial of second order of the place on it, then that of third order."""
     for where in _of_role(rows, "plane"):
         places = rows.referred.get(("plane", where), 0)
-        u, v = (where + ending for ending in PLACE)
+        u, v = (where + ending for ending in PLATE_COORDINATES)
         second = (_power(u, 2.0), _product(u, v, 1.0), _power(v, 2.0))
         third = (_power(u, 3.0), _product(v, u, 2.0), _product(u, v, 2.0), _power(v, 3.0))
         for bases in (second, (*second, *third)):

@@ -33,7 +33,7 @@ BENDS = (1.0, 2.0, 3.0, 4.0)
 WAVES = (0.5, 1.0, 2.0)
 """Periods of a wave over the travel seen."""
 
-POWERS = (1.0, 2.0)
+RAIL_POWERS = (1.0, 2.0)
 """Of a rail's travel, for what bends the more the further it is out."""
 
 MAP_KNOTS = 72
@@ -117,7 +117,7 @@ def _bearing_compliance(rows: ObservedRows) -> Iterator[Effect]:
 def _tilts_with_travel(rows: ObservedRows, rail: Joint, component: str, load: str) -> list[Coefficient]:
     """A load times powers of a rail's travel, as a share of its largest."""
     largest = float(np.abs(rows.table[rail.name]).max())
-    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in POWERS]
+    bases = [Basis("times_power", (load, rail.name), (0.0, largest, power)) for power in RAIL_POWERS]
     return [Coefficient(rail.name, component, basis) for basis in bases]
 
 

@@ -22,13 +22,13 @@ from aridcal.engine.robot.kinematics import (
     tree_frames,
 )
 
-LOADS = (".gravity_", ".payload_")
+LOAD_MARKS = (".gravity_", ".payload_")
 """What the names of loads hold, and no other covariate's."""
 
 
 def is_load(name: str) -> bool:
     """True for a covariate that is computed from masses, ``joint_2.gravity_torque`` for instance."""
-    return any(part in name for part in LOADS)
+    return any(part in name for part in LOAD_MARKS)
 
 
 PAYLOAD = "payload"

@@ -13,10 +13,10 @@ from dataclasses import replace
 import numpy as np
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.effect import FRAME_COMPONENTS, FRAMES, LINK_COMPONENTS, Coefficient, Effect
+from aridcal.engine.corrections.effect import FRAME_COMPONENTS, LINK_COMPONENTS, MOUNTING_FRAMES, Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import LEAST_KNOTS, Declaration, EffectKind, ObservedRows, bumps
 from aridcal.engine.corrections.joint_kinds import RAIL_KNOTS
-from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.labels import LABEL_COLUMN
 from aridcal.engine.corrections.sights import TARGET
 from aridcal.engine.robot.doty import links_down
 
@@ -44,9 +44,9 @@ def _regional(rows: ObservedRows) -> Iterator[Effect]:
             yield _varying(rows, "regional", where, motion, rail.name)
     if len(rows.labels) > 1:
         zeros = [(joint.name, ("axis",)) for joint in rows.moving()]
-        frames = [(where, motion) for where in FRAMES for motion in (SHIFT, TURN)]
+        frames = [(where, motion) for where in MOUNTING_FRAMES for motion in (SHIFT, TURN)]
         for where, motion in (*_links(rows), *zeros, *frames):
-            yield _varying(rows, "regional", where, motion, STATION)
+            yield _varying(rows, "regional", where, motion, LABEL_COLUMN)
 
 
 def _residual_field(rows: ObservedRows) -> Iterator[Effect]:
@@ -67,9 +67,9 @@ def _links(rows: ObservedRows) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 def _declared(rows: ObservedRows, d: Declaration) -> Iterator[Effect]:
     """The effect of a declaration: a joint's or a frame's motions over a reading, a column or in space; by default its tilts."""
-    motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in FRAMES else FRAME_COMPONENTS)
+    motion = d.motion or dict(_links(rows)).get(d.where) or (SHIFT if d.where in MOUNTING_FRAMES else FRAME_COMPONENTS)
     by = d.by or IN_SPACE
-    labels = (STATION,) if len(rows.labels) > 1 else ()
+    labels = (LABEL_COLUMN,) if len(rows.labels) > 1 else ()
     if set(motion) <= set(_motions(rows, d.where)) and by in (IN_SPACE, *labels, *rows.varying()):
         effect = _varying(rows, d.kind, d.where, motion, by)
         if effect.coefficients:
@@ -78,7 +78,7 @@ def _declared(rows: ObservedRows, d: Declaration) -> Iterator[Effect]:
 
 def _motions(rows: ObservedRows, where: str) -> tuple[str, ...]:
     """Components that may vary at a place: of frames, of a joint and of its link."""
-    if where in FRAMES:
+    if where in MOUNTING_FRAMES:
         return FRAME_COMPONENTS
     of_link = next((link.components for link in links_down(rows.robot) if link.joint == where), ())
     return ("axis", *FRAME_COMPONENTS, *of_link)
@@ -89,7 +89,7 @@ def _varying(rows: ObservedRows, kind: str, where: str, motion: tuple[str, ...],
 
     By label they are as many numbers as there are labels, each alike in size alone.
     """
-    if by == STATION and rows.labels:
+    if by == LABEL_COLUMN and rows.labels:
         bases = [Basis("label", (name,)) for name in rows.labels]
         every = tuple(Coefficient(where, component, basis) for component in motion for basis in bases)
     elif by == IN_SPACE:
@@ -212,7 +212,7 @@ REGIONAL = EffectKind(
     key="by",
     of_declaration=_declared,
     asked=True,
-    columns=lambda d: () if d.by in (IN_SPACE, STATION) else (str(d.by),),
+    columns=lambda d: () if d.by in (IN_SPACE, LABEL_COLUMN) else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
 )
 

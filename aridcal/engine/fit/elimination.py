@@ -29,7 +29,7 @@ from aridcal.engine.instruments.setup import Instruments, Tie
 from aridcal.engine.model.predictions import Observations, ThingStates
 from aridcal.engine.numerics import TINY
 
-STEP = 1e-6
+TIE_STEP = 1e-6
 """Work: Change [m] or [rad] over which ties are differentiated: rounding and curvature are then alike, 1e-10."""
 
 
@@ -271,9 +271,11 @@ def _row_of_tie(
     for end, k in enumerate(pair):
         for component in np.flatnonzero(groups.slot[tie.role][k] >= 0).tolist():
             change = np.zeros((2, len(things.role.components)))
-            change[:, component] = STEP, -STEP
+            change[:, component] = TIE_STEP, -TIE_STEP
             ahead, back = things.role.moved(np.array([ends[end], ends[end]]), change)
-            slope = (_value_of_tie(tie, ahead, ends[1 - end]) - _value_of_tie(tie, back, ends[1 - end])) / (2.0 * STEP)
+            slope = (_value_of_tie(tie, ahead, ends[1 - end]) - _value_of_tie(tie, back, ends[1 - end])) / (
+                2.0 * TIE_STEP
+            )
             by[groups.slot[tie.role][k, component]] = slope / tie.std
     return group, by, (tie.value - _value_of_tie(tie, *ends)) / tie.std
 

@@ -11,15 +11,15 @@ import pinocchio as pin
 from aridcal.engine.fit.flags import robust_sigma
 from aridcal.engine.instruments.pose import kind_of_places, nearest_rotation, residuals
 from aridcal.engine.levels import SLIGHT
-from aridcal.engine.numerics import HALVINGS, RANK
+from aridcal.engine.numerics import RANK, STEP_HALVINGS
 
 STRAIN = 1 / 3
 """Work: Share of the misfit that the points may move by on the way to the hint: it then grows by a twentieth at the most."""
 
-BEST = 2
+BEST_STARTS = 2
 """Work: Target translations that are handed on: a fit of each tells which is right."""
 
-SAME = 1e-3
+SAME_MINIMUM_SHARE = 1e-3
 """Work: Share of the points' spread within which two minima are one."""
 
 DESCENTS = 500
@@ -143,9 +143,9 @@ def _levers(data: PoseRows, hint: np.ndarray) -> list[np.ndarray]:
     size = max(float(np.sqrt(np.mean(spread))), 1e-6)  # one row alone has none
     directions = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
     minima = [_descend(cost, np.tile(size * direction, tips), size)[1] for direction in directions]
-    lowest_first = sorted(_distinct(minima, SAME * size), key=lambda t: cost(t)[0])
+    lowest_first = sorted(_distinct(minima, SAME_MINIMUM_SHARE * size), key=lambda t: cost(t)[0])
     slid = [t + _slide(cost, t, hint.ravel() - t, size) for t in lowest_first]
-    return [t.reshape(tips, 3) for t in _distinct(slid, SAME * size)[:BEST]]
+    return [t.reshape(tips, 3) for t in _distinct(slid, SAME_MINIMUM_SHARE * size)[:BEST_STARTS]]
 
 
 def _distinct(places: Sequence[np.ndarray], apart: float) -> list[np.ndarray]:
@@ -198,7 +198,7 @@ def _descend(cost: Cost, t: np.ndarray, size: float) -> tuple[float, np.ndarray]
     for _ in range(DESCENTS):
         step = -inverse @ slope
         falls = float(step @ slope)
-        for _ in range(HALVINGS):
+        for _ in range(STEP_HALVINGS):
             after_value, after_slope = cost(t + step)
             if after_value <= value + ARMIJO * falls:
                 break

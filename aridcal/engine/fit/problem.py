@@ -12,7 +12,7 @@ from aridcal.engine.fit.noise import covariance_of_rows
 from aridcal.engine.instruments.channels import Channels
 from aridcal.engine.instruments.setup import Instruments
 from aridcal.engine.model.local import LocalColumns
-from aridcal.engine.model.many_rows import BLOCK, blocks
+from aridcal.engine.model.many_rows import ROWS_PER_BLOCK, blocks
 from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.model.predictions import Observations, ThingStates, observations_of, rows_at
 from aridcal.engine.rows.dataset import Dataset
@@ -82,7 +82,7 @@ class Problem:
 
     def blocks(self) -> Iterator[slice]:
         """Stretches of rows that are differentiated at a time; each is reported to ``progress``."""
-        yield from self.progress.through(blocks(len(self)), len(self), "rows", BLOCK)
+        yield from self.progress.through(blocks(len(self)), len(self), "rows", ROWS_PER_BLOCK)
 
     def limbs(self, part: slice) -> list[slice | np.ndarray]:
         """Rows of a stretch grouped by the path that they take, as their places in the stretch."""

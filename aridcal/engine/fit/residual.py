@@ -13,14 +13,14 @@ from aridcal.engine.fit.normal_equations import NormalEquations
 from aridcal.engine.fit.problem import Problem, scaled
 from aridcal.engine.instruments.channels import Channels, columns, spread
 
-THINGS = 4
+THING_STEPS = 4
 """Work: Steps that find things anew where the coefficients stay; their rows are nearly linear in them."""
 
-MANY = 300
+MANY_COEFFICIENTS = 300
 """Work: Coefficients from which those are sought that move none of a block's rows: an ordinary arm has no such ones, and fewer
 cost less than the search for them."""
 
-NUMBERS = 1024
+NUMBERS_PER_QR = 1024
 """Work: Numbers of a QR at a time: of 50 columns these take 0.4 MB."""
 
 
@@ -103,7 +103,7 @@ def linearise(question: Problem, theta: np.ndarray, weight: np.ndarray | None, s
         if sums is not None:
             root_of_rows, group = root[:, :, None], question.group_of(block)
             sums.add(group, B * root_of_rows, J * root_of_rows, r * root, channels)
-        for rows, some, X in _by_limb(question, block, J, MANY):
+        for rows, some, X in _by_limb(question, block, J, MANY_COEFFICIENTS):
             for k, part in enumerate(columns(channels)):
                 # Number by number: rows run fastest in J, or slowest.
                 A = (X[:, part] * root[rows, :, None]).transpose(1, 2, 0)
@@ -216,8 +216,8 @@ def triangle(
         parts = [R]
         for _, some, X in _by_limb(question, block, whitened):
             flat = X.reshape(X.shape[0] * X.shape[1], len(some))
-            for start in range(0, len(flat), NUMBERS):
-                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS], mode="r")
+            for start in range(0, len(flat), NUMBERS_PER_QR):
+                triangle_of_part = np.linalg.qr(flat[start : start + NUMBERS_PER_QR], mode="r")
                 parts.append(np.zeros((len(triangle_of_part), count)))
                 parts[-1][:, some] = triangle_of_part
         R = np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
@@ -253,7 +253,7 @@ def problem_with_things(question: Problem, theta: np.ndarray, weight: np.ndarray
     R, p = question.model.poses(theta, question.rows)
     question = question.settled(theta)
     channels, everything = question.channels, slice(None)
-    for _ in range(THINGS):
+    for _ in range(THING_STEPS):
         slopes = question.measured.slopes(R, p, theta)
         r = scaled(slopes.residual, question.data.relative)
         B = scaled(groups.columns(slopes.by_thing, everything), question.data.relative)

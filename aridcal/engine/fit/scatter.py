@@ -19,11 +19,11 @@ from scipy.sparse import coo_array, csr_array
 from aridcal.engine.fit.normal_equations import balanced, directions
 from aridcal.engine.numerics import RANK
 
-UNTOLD = 1e-3
+LEAST_INFORMATION = 1e-3
 """Work: Information on a mode of unit prior, from all rows together, below which it is left out: it takes up less than a
 thousandth of one number, and every mode costs as much as one that takes up one."""
 
-EVEN = 1e-2
+SINGLE_PRECISION_SHARE = 1e-2
 """Work: Share of a column, the others before it taken off, that must be left for single precision to do: rounding, 1e-7 of the
 columns, is then 1e-5 of what is left."""
 
@@ -117,7 +117,7 @@ def determined_modes(column: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     """
     white = (column / sigma[:, None]).reshape(-1, column.shape[2])
     information, vectors = np.linalg.eigh(white.T @ white)
-    return np.asarray(vectors[:, information > UNTOLD])
+    return np.asarray(vectors[:, information > LEAST_INFORMATION])
 
 
 @dataclass(frozen=True)
@@ -248,7 +248,7 @@ def _equations(
             return scatter.near, U, z, np.eye(U.shape[1]), np.ones(U.shape[1])
         H, scale = balanced(U.T @ U + scatter.near.precision, RANK)
         factor, failed = dpotrf(H.T, lower=1)
-        if not failed and np.diag(factor).min() ** 2 > EVEN:
+        if not failed and np.diag(factor).min() ** 2 > SINGLE_PRECISION_SHARE:
             return scatter.near, U, z, factor, scale
     U, z = _whitened(scatter, white, scatter.columns)
     H, scale = balanced(U.T @ U + scatter.precision, RANK)

@@ -13,17 +13,17 @@ from aridcal.engine.fit.frame_starts import PoseRows, best_start
 from aridcal.engine.instruments.descent import DescentPoint
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.kind import MeasurementKind
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Things
 from aridcal.engine.instruments.starts import aligned, starts
 from aridcal.engine.model.predictions import Observations
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.errors import MeasurementError, NotIdentifiable
 
-MOST_ROWS = 1000
+MOST_THING_ROWS = 1000
 """Work: Rows of a block that a start is found from: more sharpen it by nothing."""
 
-FEWEST_ROWS = 12
+FEWEST_ROWS_OF_A_THING = 12
 """Work: Rows of each thing in this choice."""
 
 
@@ -177,7 +177,7 @@ def _level_base(rows: NominalRows, some: np.ndarray) -> pin.SE3:
     target, target_known = rows.known_targets.get(number, rows.hints[number]).homogeneous, number in rows.known_targets
     refers = np.zeros((len(some), 0), dtype=int)
     best, least = DOWN, np.inf
-    for start in starts(KINDS["inclination"], R, rows.p[some], read, refers, {}, target, target_known):
+    for start in starts(MEASUREMENT_KINDS["inclination"], R, rows.p[some], read, refers, {}, target, target_known):
         felt = np.einsum("nij,jk,nk->ni", R, start.target[:3, :3], read)
         down = felt.mean(axis=0) / np.linalg.norm(felt.mean(axis=0))
         spread = float(np.median(np.linalg.norm(felt - down, axis=1)))
@@ -237,11 +237,11 @@ def _base_from_things(kind: MeasurementKind, start: DescentPoint, predictions: O
 
 def _enough_rows(rows: np.ndarray, predictions: Observations, kind: MeasurementKind) -> np.ndarray:
     """Row numbers of a choice from a block, each thing with its share."""
-    if len(rows) <= MOST_ROWS or not kind.roles:
-        return rows[:: max(1, len(rows) // MOST_ROWS)]
+    if len(rows) <= MOST_THING_ROWS or not kind.roles:
+        return rows[:: max(1, len(rows) // MOST_THING_ROWS)]
     label = predictions.refers[rows, len(kind.roles) - 1]
     rng = np.random.default_rng(0)
-    share = max(FEWEST_ROWS, MOST_ROWS // len(np.unique(label)))
+    share = max(FEWEST_ROWS_OF_A_THING, MOST_THING_ROWS // len(np.unique(label)))
     order = rng.permutation(len(rows))
     ranked = np.argsort(label[order], kind="stable")
     sizes = np.bincount(label)[np.unique(label)]

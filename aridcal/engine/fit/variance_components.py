@@ -33,32 +33,32 @@ from aridcal.engine.fit.minorant import Bound, moments
 from aridcal.engine.fit.normal_equations import shortest
 from aridcal.engine.fit.scatter import LikelihoodPoint, Scatter, covariances, derivatives, place
 from aridcal.engine.levels import PLAINLY, RARE
-from aridcal.engine.numerics import HALVINGS, STEPS, TINY
+from aridcal.engine.numerics import MOST_ITERATIONS, STEP_HALVINGS, TINY
 
-FAR = 1.0
+FAR_PROMISE = 1.0
 """Work: [nat]: a step of the average information that promises more is not near enough for it to be trusted; a bound is
 maximised instead, which never overshoots."""
 
-SETTLED = 1e-3
+LAST_GAIN = 1e-3
 """Work: [nat] that the maximum may be out by after the last of all steps: a twentieth of a standard deviation."""
 
-ROUGH = 0.1
+ROUGH_GAIN = 0.1
 """Work: [nat]: the same as long as components are added. A likelihood ratio is then out by less than a tenth, and the chance of
 noise by a tenth of itself; what has settled better takes twice the time."""
 
-OFF = 0.1
-"""Work: Share of what a step promises, below :data:`FAR`, by which its gain is off half of that: less in 99 of 100 steps from
-places about the maximum in 60 rows of 4 numbers."""
+PROMISE_ERROR_SHARE = 0.1
+"""Work: Share of what a step promises, below :data:`FAR_PROMISE`, by which its gain is off half of that: less in 99 of 100
+steps from places about the maximum in 60 rows of 4 numbers."""
 
-CLEAR = 0.95
+SAFE_SHARE = 0.95
 """Work: What is less than this share of something is less where variances have settled, too: scores move by a fiftieth until
 then."""
 
-LEAST = 1e-6
+LEAST_VARIANCE_SHARE = 1e-6
 """Work: Share of its start below which the variance of a channel does not fall: a covariance must be positive, and an
 instrument a thousand times better than the scatter is no instrument."""
 
-IMITATED = 0.01
+IMITATION_SHARE = 0.01
 """Share of a component's information that must be its own: with less, those in the model imitate it."""
 
 
@@ -123,14 +123,14 @@ def estimate(scatter: Scatter, channels: np.ndarray, is_channel: np.ndarray) -> 
     """
     start = np.zeros(len(is_channel))
     start[is_channel] = channels
-    return _maximum(scatter, start, is_channel, LEAST * start)
+    return _maximum(scatter, start, is_channel, LEAST_VARIANCE_SHARE * start)
 
 
 def settled(scatter: Scatter, maximum: Components) -> Components:
-    """A maximum known to :data:`ROUGH`, refined to :data:`SETTLED` with the same components."""
-    if maximum.error < SETTLED:
+    """A maximum known to :data:`ROUGH_GAIN`, refined to :data:`LAST_GAIN` with the same components."""
+    if maximum.error < LAST_GAIN:
         return maximum
-    return _maximum(scatter, maximum.variance, maximum.free, maximum.low, SETTLED)
+    return _maximum(scatter, maximum.variance, maximum.free, maximum.low, LAST_GAIN)
 
 
 def add_component(
@@ -242,7 +242,7 @@ def _with_others(scatter: Scatter, maximum: Components, start: np.ndarray, free:
 
 
 def _maximum(
-    scatter: Scatter, theta: np.ndarray, free: np.ndarray, low: np.ndarray, enough: float = ROUGH
+    scatter: Scatter, theta: np.ndarray, free: np.ndarray, low: np.ndarray, enough: float = ROUGH_GAIN
 ) -> Components:
     """Maximise the restricted likelihood over the variances of the components in the model.
 
@@ -257,7 +257,7 @@ def _maximum(
     """
     here, error, gain = place(scatter, theta), 0.0, 0.0
     score, information = derivatives(scatter, here, free)
-    for _ in range(STEPS if np.isfinite(here.log_likelihood) else 0):
+    for _ in range(MOST_ITERATIONS if np.isfinite(here.log_likelihood) else 0):
         moving, step = free & ~((theta <= low) & (score <= 0.0)), np.zeros(len(theta))
         step[moving] = shortest(
             information[np.ix_(moving, moving)], score[moving]
@@ -265,7 +265,7 @@ def _maximum(
         promised = float(score @ step)
         ahead = np.where(free, np.maximum(theta + step, low), 0.0)
         whole = bool(np.all((ahead == theta + step)[moving]))
-        error, gain = (OFF * promised, 0.5 * promised) if whole else (promised, 0.0)
+        error, gain = (PROMISE_ERROR_SHARE * promised, 0.5 * promised) if whole else (promised, 0.0)
         if error < enough:
             break
         higher = _higher(scatter, theta, here, step, promised, free, low)
@@ -292,12 +292,12 @@ def _higher(
     low: np.ndarray,
 ) -> tuple[np.ndarray, LikelihoodPoint] | None:
     """Likelier variances, and the likelihood there; None if the step's direction has none."""
-    if promised > FAR:
+    if promised > FAR_PROMISE:
         variances = _bound(scatter, theta, here).best(theta, free, low)
         there = place(scatter, variances)
         if there.log_likelihood > here.log_likelihood:
             return variances, there
-    for _ in range(HALVINGS):
+    for _ in range(STEP_HALVINGS):
         variances = np.where(free, np.maximum(theta + step, low), 0.0)
         there = place(scatter, variances)
         if there.log_likelihood >= here.log_likelihood:
@@ -350,8 +350,8 @@ class ScoreTests:
 
     @property
     def clear(self) -> bool:
-        """True if the plain score of that component is clearly above or below :data:`PLAINLY`, by :data:`CLEAR`."""
-        return not CLEAR < self.plain[self.first] / PLAINLY < 1.0 / CLEAR
+        """True if the plain score of that component is clearly above or below :data:`PLAINLY`, by :data:`SAFE_SHARE`."""
+        return not SAFE_SHARE < self.plain[self.first] / PLAINLY < 1.0 / SAFE_SHARE
 
 
 def score_tests(scatter: Scatter, maximum: Components, price: np.ndarray | float = 0.0) -> ScoreTests:
@@ -371,7 +371,7 @@ def score_tests(scatter: Scatter, maximum: Components, price: np.ndarray | float
     each = contributions(scatter, maximum)
     own_contributions = each - share.T @ each[free]
     score = own_contributions.sum(axis=1)
-    new = ~free & (alone > IMITATED * np.diag(information))
+    new = ~free & (alone > IMITATION_SHARE * np.diag(information))
     alone = np.where(new, alone, 1.0)
     plain = score / np.sqrt(np.maximum(np.sum(own_contributions**2, axis=1), TINY))
     normal = score / np.sqrt(alone)

@@ -33,7 +33,7 @@ CAMERA, SONAR, ALL_SONARS = "camera", "sonar", "sonars"
 FAULTS_OF_A_SONAR = ("bias", "scale")
 """What may be wrong with a sonar: what it adds [m], and the share by which it reads too much."""
 
-POSE = 6
+POSE_SIZE = 6
 """Coordinates of a pose."""
 
 WIDTH_OF_POSES, COUNT = 25, 24
@@ -46,7 +46,7 @@ NUMBERS_OF_A_MARK = 8
 POSE_STEPS, ROUNDING_STEP = 20, 1e-12
 """Gauss-Newton steps of a shot's pose at the most, four are usual; and [m] and [rad] of one that is rounding."""
 
-SHORTEN = 4.0
+STEP_FRACTION = 4.0
 """A step turns by at most 1/4 rad and shifts by at most 1/4 of the distance: as far as the linear model is of use."""
 
 
@@ -181,7 +181,7 @@ def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
     """What n shots of a head read, as declared, as rows of numbers, shape (n, W): see :func:`unpacked`."""
     n, S = len(shots), len(head.positions)
     size = len(INTRINSICS) + S
-    enough = -(-(POSE + size - S) // 2)  # for a basis of pose and trace
+    enough = -(-(POSE_SIZE + size - S) // 2)  # for a basis of pose and trace
     count = max(enough, *(len(shot.points) for shot in shots))
     poses = [
         [shot.T_world_square[:3].ravel(), shot.T_camera_square[:3].ravel(), [S + 2 * len(shot.points)], shot.ranges]
@@ -193,7 +193,7 @@ def packed(shots: Sequence[HeadShot], head: Head) -> np.ndarray:
     _, _, B, D = _at_best(unpacked(rows, S), head)
     Q, R = np.linalg.qr(np.concatenate([B, D[:, :, :size]], axis=2))
     sign = np.where(np.diagonal(R, axis1=1, axis2=2) < 0.0, -1.0, 1.0)  # a trace means the same in all shots
-    rows[:, readings.shape[1] :] = (Q * sign[:, None])[:, :, POSE:].reshape(n, -1)
+    rows[:, readings.shape[1] :] = (Q * sign[:, None])[:, :, POSE_SIZE:].reshape(n, -1)
     return rows
 
 
@@ -262,7 +262,7 @@ def reduced(shots: Shots, head: Head) -> ShotPoses:
     C = _inverse(back @ B)
     twist_by_phi = -C @ (back @ D)
     trace = np.einsum("nij,ni->nj", shots.basis, y)
-    freedom = shots.count - POSE
+    freedom = shots.count - POSE_SIZE
     trace[missing_numbers(freedom, trace.shape[1])] = 0.0
     Rc = T[:, :, :3].transpose(0, 2, 1)
     p = -np.einsum("nij,nj->ni", Rc, T[:, :, 3])
@@ -307,7 +307,7 @@ def missing_numbers(freedom: np.ndarray, size: int) -> np.ndarray:
 def _missing(observed: np.ndarray, m: int) -> np.ndarray:
     """Which of m numbers a row does not measure, shape (n, m)."""
     missing = np.zeros((len(observed), m), dtype=bool)
-    missing[:, POSE:] = missing_numbers(observed[:, COUNT] - POSE, m - POSE)
+    missing[:, POSE_SIZE:] = missing_numbers(observed[:, COUNT] - POSE_SIZE, m - POSE_SIZE)
     return missing
 
 
@@ -321,7 +321,7 @@ def _posed(shots: Shots, head: Head) -> np.ndarray:
         back = B.transpose(0, 2, 1)
         step = np.einsum("nij,nj->ni", _inverse(back @ B), np.einsum("nij,nj->ni", back, y))
         far = np.maximum(np.linalg.norm(step[:, :3], axis=1) / T[:, 2, 3], np.linalg.norm(step[:, 3:], axis=1))
-        step /= np.maximum(1.0, SHORTEN * far)[:, None]
+        step /= np.maximum(1.0, STEP_FRACTION * far)[:, None]
         T[:, :, 3] += np.einsum("nij,nj->ni", T[:, :, :3], step[:, :3])
         T[:, :, :3] = T[:, :, :3] @ Rotation.from_rotvec(step[:, 3:]).as_matrix()
         if np.abs(step).max(initial=0.0) < ROUNDING_STEP:
@@ -342,18 +342,18 @@ def _whitened(T: np.ndarray, shots: Shots, head: Head) -> tuple[np.ndarray, np.n
     pixels, by_twist, by_lens = predict_pixels(T, shots.points, head.intrinsics)
     of_pixels = np.einsum("nmij,nmj->nmi", shots.whiten, shots.pixels - pixels)
     y = np.concatenate([of_ranges / head.std, of_pixels.reshape(n, -1)], axis=1)
-    B = np.concatenate([h_by_twist / head.std, (shots.whiten @ by_twist).reshape(n, -1, POSE)], axis=1)
+    B = np.concatenate([h_by_twist / head.std, (shots.whiten @ by_twist).reshape(n, -1, POSE_SIZE)], axis=1)
     return y, B, (shots.whiten @ by_lens).reshape(n, -1, len(INTRINSICS)), h
 
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Inverses of informations of poses, metres and radians brought to one scale, shape (n, 6, 6)."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), RIDGE))
+    scale = 1.0 / np.sqrt(np.maximum(np.diagonal(information, axis1=1, axis2=2), POSE_RIDGE))
     outer = scale[:, :, None] * scale[:, None, :]
-    return np.asarray(outer * np.linalg.inv(information * outer + RIDGE * np.eye(POSE)))
+    return np.asarray(outer * np.linalg.inv(information * outer + POSE_RIDGE * np.eye(POSE_SIZE)))
 
 
-RIDGE = 1e-14
+POSE_RIDGE = 1e-14
 """A number that is nothing beside the ones on a scaled diagonal: a pose that a shot does not tell is left where it is."""
 
 
@@ -368,11 +368,11 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     reduction = _of_rows(observed, states)
     r = residuals(R, p, reduction.position, reduction.rotation)
     n, count = reduction.trace.shape
-    by_twist = np.zeros((n, POSE + count, POSE))
+    by_twist = np.zeros((n, POSE_SIZE + count, POSE_SIZE))
     by_twist[:, :3, :3] = np.eye(3)
-    by_twist[:, 3:POSE, 3:] = turned_back(r[:, 3:])
+    by_twist[:, 3:POSE_SIZE, 3:] = turned_back(r[:, 3:])
     by_head = np.concatenate([-reduction.sensitivity, reduction.slope], axis=1)
-    by_head[:, 3:POSE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE]
+    by_head[:, 3:POSE_SIZE] = turned_back(-r[:, 3:]) @ by_head[:, 3:POSE_SIZE]
     return ResidualDerivatives(np.hstack([r, reduction.trace]), by_twist, (by_head,))
 
 

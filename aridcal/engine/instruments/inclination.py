@@ -12,7 +12,7 @@ from aridcal.engine.robot.kinematics import transverse
 DOWN = np.array([0.0, 0.0, -1.0])
 """Gravity's direction in the world."""
 
-SERIES_BELOW = 1e-3
+SINE_SERIES_BELOW = 1e-3
 """Sine below which a quotient that tends to 0/0 is taken from its series, whose next term is 1e-12."""
 
 
@@ -56,8 +56,8 @@ def _derivatives(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: Sta
     ds = axes @ turned
     dc = np.einsum("ni,nij->nj", direction, turned)
     sine = np.linalg.norm(across, axis=1)
-    near = (sine < SERIES_BELOW) & (along > 0.0)
-    safe = np.where(sine < SERIES_BELOW, 1.0, sine)
+    near = (sine < SINE_SERIES_BELOW) & (along > 0.0)
+    safe = np.where(sine < SINE_SERIES_BELOW, 1.0, sine)
     exact = (along * safe - np.arctan2(safe, along)) / safe**3
     factor = np.where(near, -2.0 / 3.0 - 0.2 * sine**2, exact)
     inner = factor[:, None] * np.einsum("ni,nij->nj", across, ds) - dc

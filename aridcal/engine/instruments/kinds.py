@@ -14,11 +14,11 @@ from aridcal.engine.instruments.plane import PLANAR
 from aridcal.engine.instruments.point import TOUCHED
 from aridcal.engine.instruments.pose import POSE, POSITION, TRACKER
 
-KINDS: Mapping[str, MeasurementKind] = {
+MEASUREMENT_KINDS: Mapping[str, MeasurementKind] = {
     kind.name: kind for kind in (POSE, POSITION, TOUCHED, DISTANCE, PLANAR, PIXELS, INCLINED, JOINED, CAMERA_SONAR)
 }
 
 
 def labelled(kind: str) -> tuple[Role, ...]:
     """Roles of what the rows of a kind tell apart: none for poses and positions, whose tracker is their block, nor for heads."""
-    return tuple(role for role in KINDS[kind].roles if role.name not in (TRACKER.name, HEAD))
+    return tuple(role for role in MEASUREMENT_KINDS[kind].roles if role.name not in (TRACKER.name, HEAD))

@@ -8,7 +8,7 @@ from aridcal.engine.instruments.camera import INTRINSICS, distort, matrices, pro
 from aridcal.engine.instruments.channels import PIXEL
 from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, added
 
-PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
+PLACE_COMPONENTS = ("x", "y", "z", "roll", "pitch", "yaw")
 PLACE_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 # Parts of a camera's state; a board's is its first twelve numbers.
@@ -91,15 +91,15 @@ def _camera_slope(state: np.ndarray, change: np.ndarray) -> np.ndarray:
 
 CAMERA = Role(
     name="camera",
-    components=(*PLACE, *INTRINSICS),
+    components=(*PLACE_COMPONENTS, *INTRINSICS),
     units=(*PLACE_UNITS, "px", "px", "px", "px", "1", "1", "1", "1", "1"),
     size=22,
     moved=_camera_moved,
     slope=_camera_slope,
-    identified=PLACE,
+    identified=PLACE_COMPONENTS,
     many=False,
 )
-BOARD = Role("board", PLACE, PLACE_UNITS, 12, _place_moved, _place_slope, PLACE, many=False)
+BOARD = Role("board", PLACE_COMPONENTS, PLACE_UNITS, 12, _place_moved, _place_slope, PLACE_COMPONENTS, many=False)
 MARKER = Role("marker", ("x", "y", "z"), ("m", "m", "m"), 3, added, None, ("x", "y", "z"), many=True)
 
 

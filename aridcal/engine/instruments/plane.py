@@ -9,7 +9,7 @@ from aridcal.engine.instruments.distance import LEAST_SINGULAR
 from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives, Role, States, points_twist
 from aridcal.engine.robot.kinematics import along_plane
 
-HALVINGS = 100
+MULTIPLIER_HALVINGS = 100
 """Halvings of the interval in which a plane's multiplier lies: more than doubles resolve."""
 
 
@@ -98,7 +98,7 @@ def _located(R: np.ndarray, p: np.ndarray, observed: np.ndarray, states: States)
     pull = Vt @ ((p - middle).T @ (observed[:, 0] - level))
     stiff = spread**2 - spread[2] ** 2
     low, high = abs(pull[2]), float(np.linalg.norm(pull))
-    for _ in range(HALVINGS):  # of lambda + sigma_3 squared
+    for _ in range(MULTIPLIER_HALVINGS):  # of lambda + sigma_3 squared
         half = 0.5 * (low + high)
         long = np.sum((pull / np.maximum(stiff + half, 1e-300)) ** 2) > 1.0
         low, high = (half, high) if long else (low, half)

@@ -12,7 +12,7 @@ from aridcal.engine.instruments.kind import MeasurementKind, ResidualDerivatives
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
-SERIES_BELOW = 1e-2
+ANGLE_SERIES_BELOW = 1e-2
 """[rad]: below this a quotient that tends to 0/0 is taken from its series, whose next term is 2e-13."""
 
 
@@ -80,10 +80,10 @@ def turned_back(vector: np.ndarray) -> np.ndarray:
     """
     angle = np.linalg.norm(vector, axis=1)
     square = angle**2
-    safe = np.where(angle < SERIES_BELOW, 1.0, angle)
+    safe = np.where(angle < ANGLE_SERIES_BELOW, 1.0, angle)
     # (1 + cos) / sin is 1 / tan(angle / 2), also where both vanish
     exact = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
-    factor = np.where(angle < SERIES_BELOW, 1.0 / 12.0 + square / 720.0, exact)
+    factor = np.where(angle < ANGLE_SERIES_BELOW, 1.0 / 12.0 + square / 720.0, exact)
     x = skew(vector)
     return np.eye(3) + 0.5 * x + factor[:, None, None] * (x @ x)
 

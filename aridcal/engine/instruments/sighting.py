@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aridcal.engine.instruments.descent import DescentPoint, StartView, descend, descent_point, spread, thing_states
-from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE, R9, T, normalised
+from aridcal.engine.instruments.pixels import LENS, ON_TIP, PLACE_COMPONENTS, R9, T, normalised
 from aridcal.engine.instruments.pose import nearest_rotation
 
 TRIED_ROTATIONS = 480
@@ -41,10 +41,10 @@ FIRST_STEPS, FURTHER_STEPS, FURTHER_PLACES = 20, 60, 4
 LEAST_KNOWN_MARKERS = 12
 """Rows with known markers from which a camera is placed by those alone."""
 
-RIDGE = 1e-9
+SIGHTING_RIDGE = 1e-9
 """Share of the equations' trace that keeps them solvable where these rows leave something open."""
 
-LEAST_SPREAD = 1e-3
+LEAST_MARKER_SPREAD = 1e-3
 """Spread of a board's markers across a plane or line, as a share of that along it, which says nothing of its tilt."""
 
 
@@ -89,7 +89,9 @@ def sighted(view: StartView, target: np.ndarray, beforehand: dict[str, np.ndarra
         steps: Of least squares in the end.
     """
     fixed_lenses = replace(view, free={name: mask.copy() for name, mask in view.free.items()})
-    fixed_lenses.free["camera"][:, len(PLACE) :] = False  # a lens a little off moves nothing far: the fit frees it
+    fixed_lenses.free["camera"][:, len(PLACE_COMPONENTS) :] = (
+        False  # a lens a little off moves nothing far: the fit frees it
+    )
     states, settled = _beginning(fixed_lenses, beforehand)
     pairs = [(int(c), int(b)) for c, b in np.unique(view.refers[:, :2], axis=0)]
     candidates = [descent_point(fixed_lenses, target, states)]
@@ -236,7 +238,7 @@ def _shape(marker: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Middle of the markers, (3,), and the axes along which they spread, (3, r): two for a flat board, none for one marker."""
     middle = marker.mean(axis=0)
     _, sizes, Vt = np.linalg.svd(marker - middle, full_matrices=False)
-    return middle, Vt[sizes > LEAST_SPREAD * max(sizes[0], 1e-9)].T
+    return middle, Vt[sizes > LEAST_MARKER_SPREAD * max(sizes[0], 1e-9)].T
 
 
 def _compared(sight: _Sight, turns: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -264,7 +266,7 @@ def _swept(sight: _Sight, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
         f = np.einsum("gni,nik->gnk", w, sight.linear)
         M = square - np.swapaxes(f, 1, 2) @ f
         right = -pull + np.einsum("gnk,gn->gk", f, np.einsum("gni,ni->gn", w, sight.offset))
-        ridge = RIDGE * np.trace(square) / K * np.eye(K)
+        ridge = SIGHTING_RIDGE * np.trace(square) / K * np.eye(K)
         x = np.linalg.solve(M + ridge, right[:, :, None])[:, :, 0]
         X = sight.offset + np.einsum("nik,gk->gni", sight.linear, x)
         u = X / np.maximum(np.linalg.norm(X, axis=2, keepdims=True), 1e-12)

@@ -36,7 +36,7 @@ REACH, FAR = 0.2, 0.5
 """[m]: how far from the hint targets are sought, along each axis at once: to corners of cubes. From outside the true one is found
 more often than from inside."""
 
-LEAST_MOTION = 1e-3
+LEAST_TRANSLATION_SHARE = 1e-3
 """[m/m]: a target translation that moves the rows by a smaller share is left at its hint."""
 
 SAME_COST = 1.01
@@ -45,7 +45,7 @@ SAME_COST = 1.01
 ROUNDING_COST = 1e-24
 """Mean square of a residual that is rounding."""
 
-MOST_ROWS = 5000
+MOST_START_ROWS = 5000
 """Rows that a start looks at, spread evenly over all: what more of them say is left to the fit."""
 
 GRAVITY_DIRECTIONS = np.array([v for v in np.ndindex(3, 3, 3) if v != (1, 1, 1)]) - 1.0
@@ -84,7 +84,7 @@ def starts(
         return [DescentPoint(target, {})]
     free = {role.name: things[role.name].free for role in kind.roles}
     view = StartView(kind, R, p, observed, refers, free, moves=not (target_known or kind.bare))
-    some = view.select(spread(len(p), MOST_ROWS))
+    some = view.select(spread(len(p), MOST_START_ROWS))
     places = (
         sighted(some, target, beforehand, DESCENT_STEPS)
         if kind.name == "pixels"
@@ -181,7 +181,7 @@ def _touched_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) -
     b[~fixed] -= mean[~fixed, 9:]
     U, moves, Vt = np.linalg.svd(A.reshape(-1, 3), full_matrices=False)
     along = U.T @ b.ravel()
-    clear = moves > LEAST_MOTION * np.sqrt(len(view))
+    clear = moves > LEAST_TRANSLATION_SHARE * np.sqrt(len(view))
     return [hint + Vt.T @ (np.where(clear, along, 0.0) / np.where(clear, moves, 1.0))]
 
 
@@ -216,7 +216,7 @@ def _planar_levers(view: StartView, hint: np.ndarray, beforehand: np.ndarray) ->
         size = np.where(size > 0.0, size, 1.0)
         null = np.linalg.svd(A / size)[2][-1] / size
         length = np.linalg.norm(null[:3])
-        if length > LEAST_MOTION * np.linalg.norm(null):
+        if length > LEAST_TRANSLATION_SHARE * np.linalg.norm(null):
             levers.append(null[3:12].reshape(3, 3).T @ null[:3] / length**2)
     return levers
 

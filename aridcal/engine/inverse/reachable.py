@@ -29,7 +29,7 @@ TRIED_AT_ONCE = 8
 LARGEST_STEP = 0.4
 """The most that a joint moves in one step, [rad] or [m], as far as the linear model holds."""
 
-DAMPING = 1e-9
+STRETCHED_ARM_DAMPING = 1e-9
 """[m²/rad²]: keeps the step of a stretched arm finite."""
 
 DIFFERENCE = 1e-5
@@ -128,7 +128,7 @@ def _step(pose: Pose, miss: Miss, readings: np.ndarray, rows: np.ndarray) -> tup
     J = np.empty((*e.shape, readings.shape[1]))
     for k, shift in enumerate(DIFFERENCE * np.eye(readings.shape[1])):
         J[:, :, k] = (off(readings + shift) - off(readings - shift)) / (2 * DIFFERENCE)
-    H = J @ J.transpose(0, 2, 1) + DAMPING * np.eye(e.shape[1])
+    H = J @ J.transpose(0, 2, 1) + STRETCHED_ARM_DAMPING * np.eye(e.shape[1])
     step = -np.einsum("nkj,nk->nj", J, np.linalg.solve(H, e[:, :, None])[:, :, 0])
     longest = np.abs(step).max(axis=1, keepdims=True)
     return step * np.minimum(1.0, LARGEST_STEP / np.maximum(longest, 1e-300)), np.linalg.norm(e, axis=1)

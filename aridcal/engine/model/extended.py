@@ -28,7 +28,7 @@ from aridcal.engine.robot.doty import Link, doty_links, segments
 from aridcal.engine.robot.kinematics import carried_bodies
 
 # C(x, y, z, roll, pitch, yaw) = Tx Ty Tz Rz(yaw) Ry(pitch) Rx(roll): exactly URDF's xyz and rpy.
-ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
+COMPONENT_ORDER = ("x", "y", "z", "yaw", "pitch", "roll")
 
 # Doty's link parameters as motions of frame components.
 LINK_AXES = {"d": "z", "theta": "yaw", "beta": "pitch", "a": "x", "alpha": "roll"}
@@ -105,7 +105,7 @@ def slot_of(c: Coefficient) -> Slot:
 
 def frame_slots(where: str, needed: Sequence[Slot]) -> list[Slot]:
     """The joints that move a frame, in the order of C."""
-    every = [Slot(where, "constant", component) for component in ORDER]
+    every = [Slot(where, "constant", component) for component in COMPONENT_ORDER]
     return [slot for slot in every if slot in needed]
 
 

@@ -24,14 +24,14 @@ LEAST_TOGETHER = 40
 """Rows from which they are walked together: 0.3 ms and 0.5 us a row. Pinocchio takes 2 us a row, and 2 ms or more for a model,
 of which few questions are asked as a rule."""
 
-BLOCK = 2048
+ROWS_PER_BLOCK = 2048
 """Rows walked or differentiated at a time: all that is made on the way stays in the cache, and memory stays flat."""
 
 
 def blocks(n: int) -> list[slice]:
     """Stretches of n rows that are worked on at a time; a last stretch too short to be walked together joins the one before."""
-    begins = range(0, max(n - LEAST_TOGETHER + 1, min(n, 1)), BLOCK)
-    return [slice(start, n if start == begins[-1] else start + BLOCK) for start in begins]
+    begins = range(0, max(n - LEAST_TOGETHER + 1, min(n, 1)), ROWS_PER_BLOCK)
+    return [slice(start, n if start == begins[-1] else start + ROWS_PER_BLOCK) for start in begins]
 
 
 def short_stretches(n: int) -> list[slice]:

@@ -31,7 +31,7 @@ BYTES_OF_A_PAIR = 150_000
 ROOTS = (Path("/sys/fs/cgroup"), Path("/sys/fs/cgroup/memory"))
 """Where Linux says what a container may use, in version 2 and in version 1."""
 
-LIMITS = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes"))
+CGROUP_LIMITS = (("memory.max", "memory.current"), ("memory.limit_in_bytes", "memory.usage_in_bytes"))
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def available_memory() -> int | None:
         if line.startswith("MemAvailable:"):
             amounts.append(1024 * int(line.split()[1]))
     for folder in _groups():
-        for limit, usage in LIMITS:
+        for limit, usage in CGROUP_LIMITS:
             most, used = _number(folder / limit), _number(folder / usage)
             if most is not None and used is not None:
                 amounts.append(max(most - used + _cached(folder), 0))

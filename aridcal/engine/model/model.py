@@ -15,7 +15,7 @@ from aridcal.engine.corrections.labels import label_columns
 from aridcal.engine.corrections.loads import Surroundings, covariate_table, is_load, needs
 from aridcal.engine.corrections.sights import is_sight, sight_table, target_places
 from aridcal.engine.instruments.setup import Instruments
-from aridcal.engine.model.extended import ORDER, ExtendedModel, Slot, robot_slot
+from aridcal.engine.model.extended import COMPONENT_ORDER, ExtendedModel, Slot, robot_slot
 from aridcal.engine.model.joint_motions import motion, transform
 from aridcal.engine.model.local import LocalColumns, local
 from aridcal.engine.model.many_rows import blocks
@@ -23,7 +23,7 @@ from aridcal.engine.robot.chain import Robot, Route
 from aridcal.engine.robot.doty import doty_links, links_down
 from aridcal.system.errors import CovariateNotFound, MeasurementError, RobotError
 
-SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
+UNIT_SIZES = {"m": 1.0, "rad": 1.0, "px": 500.0, "1": 10.0, "1/m": 1.0}
 """Size in each unit that counts as much as a metre or a radian: half a usual focal length [px]; lens terms reach 10."""
 
 ONE_FRAME = ((None, pin.SE3.Identity()),)
@@ -366,7 +366,7 @@ class Model:
             (c, x) for c, x in zip(self.coefficients, theta, strict=True) if c.where == where and c.station == label
         ]
         value = {c.component: x for c, x in constants if c.basis.constant}
-        for component in ORDER:
+        for component in COMPONENT_ORDER:
             if component in value:
                 start = start * transform(motion(component), value[component])
         return start
@@ -422,7 +422,7 @@ class Model:
         size = np.ones(len(self.coefficients))
         for k in np.flatnonzero(self.at_things):
             c = self.coefficients[k]
-            size[k] = SIZES[self.instruments.unit(c.where, c.component)]
+            size[k] = UNIT_SIZES[self.instruments.unit(c.where, c.component)]
         return size
 
     @cached_property

@@ -16,9 +16,9 @@ import numpy as np
 import pinocchio as pin
 from lxml import etree
 
-from aridcal.engine.robot.drive import NOTHING, Drive, StatedJoints
+from aridcal.engine.robot.drive import NO_STATEMENTS, Drive, StatedJoints
 from aridcal.engine.robot.expand import plain_name, read_urdf
-from aridcal.engine.robot.tree import LARGEST, UrdfTree, numbers, parse_xml, read_tree
+from aridcal.engine.robot.tree import LARGEST_IN_URDF, UrdfTree, numbers, parse_xml, read_tree
 from aridcal.system.errors import RobotError, nearest, shortened
 from aridcal.system.reading.regular_files import URDF, Limit
 
@@ -124,7 +124,7 @@ class Robot:
     moves: Mapping[str, tuple[np.ndarray, str]] = field(repr=False)
     mimics: Mapping[str, Drive] = field(repr=False)
     packages: Mapping[str, Path] = field(default_factory=dict, repr=False)
-    stated: StatedJoints = NOTHING
+    stated: StatedJoints = NO_STATEMENTS
     fixed: tuple[tuple[FixedJoint, ...], ...] = ()
     others: tuple[Robot, ...] = ()
 
@@ -282,7 +282,7 @@ def load_robot(
     limit: Limit = URDF,
     packages: Mapping[str, Path] | None = None,
     arguments: Mapping[str, str] | None = None,
-    stated: StatedJoints = NOTHING,
+    stated: StatedJoints = NO_STATEMENTS,
 ) -> Robot:
     """Read the chain base -> tip of a URDF file.
 
@@ -311,7 +311,7 @@ def parse_robot(
     base: str | None = None,
     path: Path = Path("robot.urdf"),
     packages: Mapping[str, Path] | None = None,
-    stated: StatedJoints = NOTHING,
+    stated: StatedJoints = NO_STATEMENTS,
 ) -> Robot:
     """Read the chain base -> tip from a URDF's bytes; see :func:`load_robot`."""
     return replace(chain(read_tree(urdf, path, stated), tip, base), packages=packages or {}, stated=stated)
@@ -482,5 +482,5 @@ def _column(name: str, kind: Literal["revolute", "prismatic"], tree: UrdfTree) -
                 f"{path}: joint {name!r}: its lower limit {lower:g} is above its upper limit {upper:g}: exchange them"
             )
         # Some programs write 1e16, or the largest number that there is, for a joint without limits.
-        lower, upper = (lower if lower > -LARGEST else -np.inf), (upper if upper < LARGEST else np.inf)
+        lower, upper = (lower if lower > -LARGEST_IN_URDF else -np.inf), (upper if upper < LARGEST_IN_URDF else np.inf)
     return ReadingColumn(name, "continuous" if continuous else kind, lower, upper)

@@ -19,10 +19,10 @@ from aridcal.system.errors import RobotError, nearest, shortened
 LOOK_SECONDS = 60
 """To look into the cache: git is asked which version lies there, and answers in less than one."""
 
-LONGEST_NAME = 100
+LONGEST_ROBOT_NAME = 100
 """Characters of a robot's name: those that there are have 40 at the most."""
 
-ENDING = "_description"
+NAME_ENDING = "_description"
 """What the names of robot_descriptions end in; it may be left out."""
 
 
@@ -57,7 +57,7 @@ def robot_description(urdf: Path, packages: Mapping[str, Path], arguments: Mappi
 
 def is_name(path: Path) -> bool:
     """Tell whether what a user gave for a URDF may be the name of a robot: one word without an ending, and no file."""
-    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST_NAME
+    one_word = path.name == str(path) and not path.suffix and len(path.name) <= LONGEST_ROBOT_NAME
     return one_word and not path.exists()
 
 
@@ -109,9 +109,9 @@ def _look(name: str) -> dict[str, Any]:
     from robot_descriptions._descriptions import DESCRIPTIONS
     from robot_descriptions._repositories import REPOSITORIES
 
-    full = next((each for each in (name, name + ENDING) if each in DESCRIPTIONS), None)
+    full = next((each for each in (name, name + NAME_ENDING) if each in DESCRIPTIONS), None)
     if full is None:
-        return {"known": [each.removesuffix(ENDING) for each, about in DESCRIPTIONS.items() if about.has_urdf]}
+        return {"known": [each.removesuffix(NAME_ENDING) for each, about in DESCRIPTIONS.items() if about.has_urdf]}
     about = DESCRIPTIONS[full]
     if not about.has_urdf:
         return {"name": full, "why": "as " + " and ".join(sorted(each.name for each in about.formats)) + " only"}

@@ -21,7 +21,7 @@ from aridcal.engine.robot.splice import origin_texts, rpy_near, without_rounding
 ILL_CONDITIONED_ANGLE = np.radians(1.0)
 
 # Below this angle [rad] the common normal would lose more digits to rounding than calling the axes parallel does.
-PARALLEL_ANGLE = float(np.sqrt(np.finfo(float).eps))
+PARALLEL_DH_ANGLE = float(np.sqrt(np.finfo(float).eps))
 
 # Parallel axes nearer than this [m] are one axis.
 COINCIDENT_LENGTH = 1e-9
@@ -259,7 +259,9 @@ def _onto_axis(frame: pin.SE3, axis: np.ndarray) -> pin.SE3:
     return pin.SE3(frame.rotation @ turn, (frame.translation @ axis) * axis)
 
 
-def _rows(robot: Robot, base: pin.SE3, parallel: float = PARALLEL_ANGLE) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
+def _rows(
+    robot: Robot, base: pin.SE3, parallel: float = PARALLEL_DH_ANGLE
+) -> tuple[pin.SE3, tuple[DHRow, ...], pin.SE3]:
     """Standard rows from a base frame whose z is the first joint's axis, and the tool behind the last one."""
     rows = []
     placement = robot.onward[0]

@@ -87,7 +87,7 @@ class StatedJoints:
                     raise RobotError(f"{key}.{shortened(master)}: a factor of 0 follows nothing. Delete this joint")
 
 
-NOTHING = StatedJoints()
+NO_STATEMENTS = StatedJoints()
 """Every joint has a column, or a ``<mimic>``."""
 
 

@@ -35,13 +35,13 @@ FILE_MB, ROBOT_MB = 50, 250
 FILE_SECONDS, ROBOT_SECONDS = 30, 90
 
 # [GB] of address space for the reader: COLLADA of 50 MB takes 1.1, of which the libraries themselves 0.35.
-MEMORY_GB = 1.5
+MESH_MEMORY_GB = 1.5
 
 # Triangles kept of one file: as many as are drawn of a whole robot.
 TRIANGLES = 120_000
 
 # Colours kept of one file: more than one sees.
-COLOURS = 64
+MOST_COLOURS = 64
 
 # Cells of a thinned mesh's grid along its long side: at first, by which factor fewer each round, and at least.
 FINEST, COARSER, COARSEST = 1000.0, 0.7, 16
@@ -119,7 +119,7 @@ def _ask(paths: Sequence[Path], end: float) -> Iterator[list[MeshPart] | NotDraw
         "OMP_NUM_THREADS": "1",
     }
     # -P: no module from the folder where the user happens to be
-    command = [sys.executable, "-P", "-m", __name__, str(FILE_SECONDS), str(MEMORY_GB)]
+    command = [sys.executable, "-P", "-m", __name__, str(FILE_SECONDS), str(MESH_MEMORY_GB)]
     try:
         reader = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
@@ -228,8 +228,8 @@ def load_mesh(path: Path) -> list[MeshPart]:
             groups.setdefault(_mesh_colour(mesh, path), []).append(mesh)
     if not groups:
         raise NotDrawable(f"mesh {path.name!r} has no faces")
-    if len(groups) > COLOURS:
-        raise NotDrawable(f"mesh {path.name!r} has more than {COLOURS} colours: draw a simpler one")
+    if len(groups) > MOST_COLOURS:
+        raise NotDrawable(f"mesh {path.name!r} has more than {MOST_COLOURS} colours: draw a simpler one")
     return [(colour, *_joined(group)) for colour, group in groups.items()]
 
 

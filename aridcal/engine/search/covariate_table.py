@@ -7,7 +7,7 @@ import numpy as np
 from aridcal.engine.corrections.catalogue import UntestableEffect, barred_joints, usable_columns
 from aridcal.engine.corrections.effect import ROW_ORDER
 from aridcal.engine.corrections.effect_kind import ObservedRows
-from aridcal.engine.corrections.labels import MOST_LABELS, STATION, label_column, label_columns, labels_in
+from aridcal.engine.corrections.labels import LABEL_COLUMN, MOST_LABELS, label_column, label_columns, labels_in
 from aridcal.engine.corrections.loads import covariate_table
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.placements import references
@@ -36,7 +36,7 @@ def covariates_and_exclusions(model: Model, rows: Dataset) -> tuple[ObservedRows
     if len(labels) > MOST_LABELS:
         barred_columns.append(
             UntestableEffect(
-                f"deviations by {STATION}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most"
+                f"deviations by {LABEL_COLUMN}", f"there are {len(labels)} labels, and {MOST_LABELS} at the most"
             )
         )
         labels = []

@@ -12,7 +12,7 @@ from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.scoring import score_of
 from aridcal.engine.search.state import State, activate, without_effect
 
-SAME = 0.1
+CURVE_CHANGE_SHARE = 0.1
 """Work: Share of its size by which the shape of a curve may still change: rows tell the size of a curve no better."""
 
 
@@ -40,5 +40,5 @@ def reshaped(state: State, some: Callable[[ActiveEffect], bool]) -> State:
 
 
 def _same_shape(one: ActiveEffect, tau: float, kernel: object) -> bool:
-    """True if another size and kernel are those of a curve, but for :data:`SAME`."""
-    return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=SAME))
+    """True if another size and kernel are those of a curve, but for :data:`CURVE_CHANGE_SHARE`."""
+    return one.score.kernel == kernel and bool(np.isclose(one.score.tau, tau, rtol=CURVE_CHANGE_SHARE))

@@ -7,24 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS, UntestableEffect
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, UntestableEffect
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.regional_kind import is_of_labels, widths
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.change_points import best_steps
 from aridcal.engine.search.curves import reshaped
-from aridcal.engine.search.evidence import DEPENDENT
+from aridcal.engine.search.evidence import DEPENDENT_SHARE
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.scoring import held_back_errors, held_out_whole, judge, score_of
 from aridcal.engine.search.screening import score_all
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, solve_state
 
-CONFOUNDED = "it is confounded with what is fitted without it: no row tells them apart"
+CONFOUNDED_SENTENCE = "it is confounded with what is fitted without it: no row tells them apart"
 """Why a declared effect was left out."""
 
-NO_BETTER = "rows held back are predicted no better with it: the one model of the whole workspace stays"
+NOT_BETTER_HELD_BACK = "rows held back are predicted no better with it: the one model of the whole workspace stays"
 """Why a declared deviation from that model was left out."""
 
 
@@ -46,17 +46,17 @@ def add_declared_effects(
     waiting: list[Effect] = []
     # Curves last: shaped before others are in the model, one may do all that these do, and they would seem confounded with it.
     for effect, anywhere in sorted(zip(effects, row_unknown, strict=True), key=lambda pair: pair[0].smooth):
-        if KINDS[effect.kind].asked:
-            waiting += [effect] if KINDS[effect.kind].named else []
+        if EFFECT_KINDS[effect.kind].asked:
+            waiting += [effect] if EFFECT_KINDS[effect.kind].named else []
             continue
         if anywhere and effect.at is not None:
             effect = next(iter(best_steps(linear, state, [effect])), effect)
         if score_all(linear, [effect], state)[0].freedom == 0:
-            barred.append(_barred(effect, CONFOUNDED))
+            barred.append(_barred(effect, CONFOUNDED_SENTENCE))
             continue
         part = _identifiable(state, effect)
         mute = [c.name for c in effect.coefficients if c not in part.coefficients]
-        barred += [UntestableEffect(f"{name}, of the declared {effect.label},", CONFOUNDED) for name in mute]
+        barred += [UntestableEffect(f"{name}, of the declared {effect.label},", CONFOUNDED_SENTENCE) for name in mute]
         state = state.with_active((*state.active, _as_declared(state, part)))
     state, barred_regions = _with_regions(state, waiting)
     return reshaped(state, lambda a: a.declared), [*barred, *barred_regions]
@@ -67,7 +67,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Un
 
     They come last because a field can imitate any cause.
     """
-    fields = [e for e in effects if not KINDS[e.kind].named and KINDS[e.kind].asked]
+    fields = [e for e in effects if not EFFECT_KINDS[e.kind].named and EFFECT_KINDS[e.kind].asked]
     if not fields:
         return state, []
     for _ in range(MOST_DENTS):
@@ -95,13 +95,13 @@ def _with_regions(state: State, waiting: Sequence[Effect]) -> tuple[State, list[
         rest.remove(effect)
         state = state.with_active((*state.active, best))
     tied = _confounded_labels(state, rest)
-    return state, [_barred(e, CONFOUNDED if e in tied else NO_BETTER) for e in rest]
+    return state, [_barred(e, CONFOUNDED_SENTENCE if e in tied else NOT_BETTER_HELD_BACK) for e in rest]
 
 
 def frame_imitations(state: State, candidates: Sequence[Effect]) -> list[UntestableEffect]:
     """Deviations of labels that imitate the model's own columns: mostly frames that each label has to itself."""
     tied = _confounded_labels(state, candidates)
-    return [UntestableEffect(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED) for e in tied]
+    return [UntestableEffect(f"{e.label}, moving {' '.join(e.motion)},", CONFOUNDED_SENTENCE) for e in tied]
 
 
 def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
@@ -114,7 +114,7 @@ def _confounded_labels(state: State, effects: Sequence[Effect]) -> list[Effect]:
     for effect in of_labels:
         C = state.whitened(state.flat(state.model.columns(effect)))
         remainder = C - Q @ (Q.T @ C)
-        if np.all(np.sum(remainder**2, axis=0) <= DEPENDENT * np.sum(C**2, axis=0)):
+        if np.all(np.sum(remainder**2, axis=0) <= DEPENDENT_SHARE * np.sum(C**2, axis=0)):
             confounded.append(effect)
     return confounded
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from aridcal.engine.corrections.catalogue import KINDS, UntestableEffect, candidates, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, UntestableEffect, candidates, declared
 from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.corrections.place_scatter import is_scatter
@@ -26,7 +26,7 @@ from aridcal.engine.search.covariate_table import covariates_and_exclusions
 from aridcal.engine.search.curves import reshaped
 from aridcal.engine.search.declared_effects import add_declared_effects, frame_imitations, with_fields
 from aridcal.engine.search.exact import (
-    FEWEST_PLACES,
+    FEWEST_HELD_BACK_THINGS,
     Start,
     few_places,
     linear_model,
@@ -49,7 +49,7 @@ SEARCHES = 6
 """Work: Times that the model is linearised anew and searched, where that is cheap; two are usual, two more each time that sets
 are exchanged."""
 
-SEARCHED = 2000
+MOST_SEARCHED_ROWS = 2000
 """Work: Rows at the most that are searched: an effect that matters shows in these, and every trial costs as many as there
 are."""
 
@@ -59,28 +59,29 @@ MOST_LARGE = 4
 RIVALS = 5
 """Work: Candidates that are compared there for each of them."""
 
-LARGE = 100.0
+LARGE_EVIDENCE = 100.0
 """[nat] in favour of an effect that is worth comparing on the exact model: it bends the constants."""
 
 RIVAL_SHARE = 0.5
 """Work: Share of the best evidence on the linear model that a rival must have: less cannot win on the exact one."""
 
 FEW_PLACES = (
-    f"at fewer than {FEWEST_PLACES} places nothing shows that a curve of free form holds elsewhere; measure at more"
+    f"at fewer than {FEWEST_HELD_BACK_THINGS} places nothing shows that a curve of free form holds elsewhere; "
+    "measure at more"
 )
 """Why no such function is sought there."""
 
-PAIRED = 3
+MOST_PAIR_FUNCTIONS = 3
 """Work: Functions of two covariates that are added at the most: each costs as much as all functions of one."""
 
-EXPLAINED = 0.5
+REFLAGGED_SHARE = 0.5
 """Share of those rows that may be flagged again: if fewer are, what was found explains them."""
 
-BENT = 0.01
+NOISE_CHANGE_ON_EXACT_MODEL = 0.01
 """Relative change of a channel's noise from the linear model to the exact one, from which what a single search found is asked
 again: effects of 50 mrad change it by 0.03, so that others seem to be there; those of a real UR10 by 0.001."""
 
-UNNAMED = 6
+MOST_UNNAMED_EFFECTS = 6
 """Work: Effects without a name that are added at the most: what is left then has no simple form."""
 
 # A fitted effect: itself, and size and kernel of its prior if it is smooth.
@@ -206,7 +207,7 @@ def diagnose(
     counting = replace(every, limit=limits(train, together.rows))
     with_flagged = _search_once(question, counting, replace(first, scattered=False))
     flagged = int((with_flagged.fit.outliers & together.rows).sum())
-    return with_flagged if flagged < EXPLAINED * together.rows.sum() else first
+    return with_flagged if flagged < REFLAGGED_SHARE * together.rows.sum() else first
 
 
 def _search_once(
@@ -221,10 +222,10 @@ def _search_once(
     identities = {e.identity for e in declared_effects}
     named = [
         e
-        for e in candidates(observed, tuple(k for k in question.sought if KINDS[k].named))
+        for e in candidates(observed, tuple(k for k in question.sought if EFFECT_KINDS[k].named))
         if e.identity not in identities
     ]
-    unnamed = candidates(observed, tuple(k for k in question.sought if not KINDS[k].named))
+    unnamed = candidates(observed, tuple(k for k in question.sought if not EFFECT_KINDS[k].named))
     if few_places(geometric.model, start.train):
         curves = dict.fromkeys(e.kind for e in (*named, *unnamed) if e.smooth)
         barred_effects += [UntestableEffect(kind, FEW_PLACES) for kind in curves]
@@ -270,7 +271,9 @@ def _search_once(
     if _shapes(state) != step.fitted:
         progress(_words_of_refit(state))
         final = refit(start, state, final)
-        bent = not small and bool(np.any(np.abs(np.log(final.estimated / state.solution.sigma)) > BENT))
+        bent = not small and bool(
+            np.any(np.abs(np.log(final.estimated / state.solution.sigma)) > NOISE_CHANGE_ON_EXACT_MODEL)
+        )
     linearised_at = final
     if state.active:
         state = setting.about(final, state, final.sigma)
@@ -343,10 +346,10 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, f
 
 
 def _fewer_rows(every: Start) -> Start:
-    """The start with :data:`SEARCHED` of its rows at the most."""
+    """The start with :data:`MOST_SEARCHED_ROWS` of its rows at the most."""
     geometric, train = every.geometric, every.train
     rows = rows_of_data(geometric.model, train)
-    some = thin(rows, SEARCHED)
+    some = thin(rows, MOST_SEARCHED_ROWS)
     if len(some) == len(train):
         return every
     fewer = replace(geometric, weight=geometric.weight[some], residual=geometric.residual[some])
@@ -365,9 +368,9 @@ def _fit_all_rows(every: Start, state: State, current: Fit) -> Fit:
 def _search_unnamed(setting: Setting, unnamed: Sequence[Effect], named: StepwiseResult, fresh: bool) -> StepwiseResult:
     """Add smooth functions of one covariate, and then of two, to the effects that name a cause."""
     observed, progress, model = setting.observed, setting.progress, named.state.model
-    more = search(named.state, unnamed, UNNAMED, exchange=fresh, progress=progress)
+    more = search(named.state, unnamed, MOST_UNNAMED_EFFECTS, exchange=fresh, progress=progress)
     rejected, tested = named.rejected + more.rejected[:1], named.tested + more.tested
-    for k in range(PAIRED):
+    for k in range(MOST_PAIR_FUNCTIONS):
         before = more.state
         places, count = pairs(before, observed.varying(), observed.robot, progress)
         library = [pair(observed, *place) for place in places]
@@ -399,7 +402,7 @@ def _best_rival(start: Start, named: Sequence[Effect], at: Fit, state: State) ->
     """The exact model refitted with the large effect that explains most there; None if there is no large effect."""
     ranked = rank(state, named, progress=start.progress)
     top = ranked[0][1].gain if ranked else 0.0
-    large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE, RIVAL_SHARE * top)]
+    large = [(e, s) for e, s in ranked[:RIVALS] if s.gain > max(LARGE_EVIDENCE, RIVAL_SHARE * top)]
     rivals = {(e.kind, e.where, e.motion): (e, s) for e, s in reversed(large)}
     trials = []
     for effect, score in reversed(rivals.values()):

@@ -19,7 +19,7 @@ from aridcal.engine.fit.least_squares import Fit, fit
 from aridcal.engine.fit.normal_equations import Prior
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import thing_projector, triangle
-from aridcal.engine.levels import FOLDS
+from aridcal.engine.levels import CHOOSING_FOLDS
 from aridcal.engine.model.model import Model
 from aridcal.engine.model.predictions import readings_at
 from aridcal.engine.rows.dataset import Dataset
@@ -33,7 +33,7 @@ from aridcal.system.progress import SILENT, Progress
 RUNS = 24
 """Stretches of time into which the rows are cut: enough for a test that takes each of them as one."""
 
-FEWEST_PLACES = 3
+FEWEST_HELD_BACK_THINGS = 3
 """Things, or groups that ties join, from which whole ones are held back: of two, one alone does not tell the constants."""
 
 GAUGE = 0.05
@@ -252,7 +252,7 @@ def _places(question: Problem) -> np.ndarray | None:
     if question.groups is None or (question.groups.row < 0).any():
         return None
     different, number = np.unique(question.groups.row, return_inverse=True)
-    return np.asarray(number) if len(different) >= FEWEST_PLACES else None
+    return np.asarray(number) if len(different) >= FEWEST_HELD_BACK_THINGS else None
 
 
 def _table(start: Start, question: Problem, observed: ObservedRows) -> Mapping[str, np.ndarray]:
@@ -274,4 +274,4 @@ def _folds(train: Dataset, together: np.ndarray) -> tuple[np.ndarray, np.ndarray
     run = np.empty(n, dtype=int)
     run[train.sequence] = np.arange(n) * min(RUNS, n) // n
     number = np.random.default_rng(0).permutation(int(together.max()) + 1)
-    return run, number[together] % FOLDS
+    return run, number[together] % CHOOSING_FOLDS

@@ -16,7 +16,7 @@ from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.search.evidence import Score
 from aridcal.engine.search.products import ColumnSource, Flat, FoldOrder, Products
 
-PLAUSIBLE = 5e-3
+PLAUSIBLE_SIZE = 5e-3
 """[m] and [rad] per unit of a basis: what joints, links and frames are wrong by in a way that changes is less."""
 
 
@@ -138,7 +138,7 @@ class LinearModel:
     def prior_of(self, effect: Effect) -> float:
         """Prior precision of an effect's coefficients: where unknown things take up much, huge ones might cancel out."""
         of_arm = effect.where in (*self.joints, "world_base", "tip_target")
-        return PLAUSIBLE**-2.0 if self.off is not None and of_arm else 0.0
+        return PLAUSIBLE_SIZE**-2.0 if self.off is not None and of_arm else 0.0
 
     def slot_columns(self, where: str, component: str) -> np.ndarray:
         """Columns of one slot, shape (N, m)."""

@@ -36,10 +36,10 @@ from aridcal.engine.fit.variance_components import (
     with_one,
 )
 from aridcal.engine.instruments.channels import Channel, columns, spread
-from aridcal.engine.levels import FEWEST_ROWS, STRONG, SURELY
+from aridcal.engine.levels import FEWEST_NOISE_ROWS, STRONG, SURELY
 from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset, factors
-from aridcal.engine.search.diagnose import SEARCHED
+from aridcal.engine.search.diagnose import MOST_SEARCHED_ROWS
 from aridcal.engine.search.exact import GAUGE
 from aridcal.engine.search.linear_model import ActiveEffect
 from aridcal.engine.search.noise_hypotheses import (
@@ -54,36 +54,36 @@ from aridcal.engine.search.noise_shapes import SHAPES, NoiseShape, TargetPoses, 
 from aridcal.engine.search.noise_tests import neighbours
 from aridcal.system.progress import SILENT, Progress
 
-MATTERS = 0.05
+LEAST_CAUSE_SHARE = 0.05
 """Share of a channel's variance, at the row where it is largest, from which causes beyond the channels change the weights:
 less changes them by less than people know their instrument."""
 
-REPEATABLE = 0.5
+REPEATABLE_SHARE = 0.5
 """Share of a joint's scatter that comes back at neighbouring rows from which it is no noise but an error curve, or play: half."""
 
-UNSURE = 1.25
+UNSURE_FACTOR = 1.25
 """Work: Times by which something may be more or less than it takes to say so, and is looked at again at variances that have
 settled."""
 
-ASKED = 800
+MOST_ROWS_OF_CAUSES = 800
 """Work: Rows that are asked at the most, of more: a sigma of three numbers a row is then known to 1.5 %, and every trial costs
 as many as there are."""
 
 CHALLENGERS = 4
 """Work: Rivals of a named cause that are tried at the most, those that the residual asks for most without it."""
 
-NEAR = 0.7
+NEAR_SCORE_SHARE = 0.7
 """Work: Share of the largest score from which a rival is looked at: gains go by its square, and are half as large at least."""
 
-LOOSE = 5.0
+RIVAL_MARGIN = 5.0
 """Work: [nat] by which a rival may be worse, by a bound on the likelihood, to be tried: the bound holds the columns as they
 are."""
 
-STEPS = (0.1, 0.03)
+SHAPE_STEPS = (0.1, 0.03)
 """Work: Shares of its size by which the numbers of a shape are moved to see whether it explains more so: the first is a
 fraction of what shapes that are tried are apart, the last what a thousand rows tell of a direction."""
 
-SETTLED = 0.1
+LEAST_MOVE_GAIN = 0.1
 """Work: [nat] that such a move must gain at the least."""
 
 WEAK = 30.0
@@ -93,7 +93,7 @@ the same again is left for columns that would fit anew. Judgement."""
 IN_WORLD = ("range", "direction", "depth", "bearing")
 """Forms that noise may have in the world's axes."""
 
-ROUNDS = 2
+RIVAL_ROUNDS = 2
 """Work: Times that named causes meet their rivals at the most: once is usual."""
 
 
@@ -257,8 +257,8 @@ class _Inquiry:
             return max(((self._height_with(maximum, k, other), other) for other in shapes), key=itemgetter(0))
 
         height, shape = likeliest([shape, *self.shapes(roughly_without(self.scatter, maximum, this)).get(k, [])])
-        for step in STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
-            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + SETTLED:
+        for step in SHAPE_STEPS if shape.free else ():  # else no number of the shape was fitted to the residual
+            while (better := likeliest(nearby(shape, step, self.targets)))[0] > height + LEAST_MOVE_GAIN:
                 height, shape = better
         reshaped = self.with_shape(k, shape)
         return reshaped, with_one(reshaped.scatter, maximum, k, float(maximum.variance[k]))
@@ -274,7 +274,7 @@ class _Inquiry:
     def comes_back(self, maximum: Components, k: int) -> tuple[bool, Components]:
         """True if errors of cause k repeat at neighbouring rows, so that it is no noise; and the maximum, settled if need be."""
         share = self._share_repeated(maximum, k)
-        if 1.0 / UNSURE < share < UNSURE:
+        if 1.0 / UNSURE_FACTOR < share < UNSURE_FACTOR:
             maximum = settled(self.scatter, maximum)
             share = self._share_repeated(maximum, k)
         return share > 1.0, maximum
@@ -297,7 +297,7 @@ class _Inquiry:
             information = root.transpose(0, 2, 1) @ kernel @ root
             for a, b in (pairs.T for pairs in self.orders[cause.common]):
                 product = np.einsum("nd,nd->n", score[a], score[b])
-                whole = REPEATABLE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
+                whole = REPEATABLE_SHARE * float(maximum.variance[k] * np.sum(information[a] * information[b]))
                 chance = SURELY * float(np.sqrt(product @ product))
                 most = max(most, float(product.sum()) / max(whole, chance, TINY))
         return most
@@ -317,15 +317,15 @@ def noise_causes(
     """
     question = problem(fit.model, rows)
     train = np.flatnonzero(rows.train)[~fit.outliers]
-    some = representative(question, train, ASKED if shapes else SEARCHED)
-    if len(some) < FEWEST_ROWS:
+    some = representative(question, train, MOST_ROWS_OF_CAUSES if shapes else MOST_SEARCHED_ROWS)
+    if len(some) < FEWEST_NOISE_ROWS:
         return None
     part = question.select(some)
     inquiry = _inquiry(part, fit, active, shapes)
     is_channel = inquiry.is_channel
     maximum = estimate(inquiry.scatter, np.maximum(fit.estimated, FLOOR) ** 2, is_channel)
     structured = np.zeros(len(is_channel), dtype=bool)
-    for _ in range(ROUNDS):
+    for _ in range(RIVAL_ROUNDS):
         inquiry, maximum, structured = _add_causes(inquiry, maximum, structured, progress)
         inquiry, maximum, ties = _try_rivals(inquiry, maximum, structured | inquiry.rests(structured))
         if ties is not None:
@@ -428,8 +428,8 @@ def _likely_rivals(inquiry: _Inquiry, base: Components, members: np.ndarray, wor
     Shapes of the inquiry are fitted at the maximum without the set; ``worth`` is the log-likelihood with it, less its price.
     """
     demand = score_tests(inquiry.scatter, base)
-    least = max(worth - base.log_likelihood - LOOSE, 0.0)
-    enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR * demand.normal.max(), 0.0))
+    least = max(worth - base.log_likelihood - RIVAL_MARGIN, 0.0)
+    enough = ~members & ~inquiry.second(base) & (demand.normal > max(NEAR_SCORE_SHARE * demand.normal.max(), 0.0))
     most = [int(k) for k in np.argsort(-demand.normal) if enough[k]][:CHALLENGERS]
     if not most:
         return []
@@ -543,7 +543,7 @@ def _weights(
     sigma = np.sqrt(variance[inquiry.is_channel])
     measured, diagonal = measured_mask(rows), np.diagonal(V, axis1=1, axis2=2)
     of_channels = np.broadcast_to(spread(sigma**2, rows.channels), diagonal.shape)
-    if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < MATTERS:
+    if float(1.0 - (of_channels[measured] / diagonal[measured]).min()) < LEAST_CAUSE_SHARE:
         return None
     typical = rows.declared(sigma)  # a declared noise stays that of all fits, whatever the channel's own part is
     V += np.where(measured, 0.0, spread(typical**2, rows.channels))[:, :, None] * np.eye(V.shape[1])  # stays as it is

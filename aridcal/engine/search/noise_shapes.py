@@ -22,7 +22,7 @@ from scipy.linalg import eigh
 from aridcal.engine.instruments.channels import TARGET_POSITION, TARGET_ROTATION, Channel
 from aridcal.engine.numerics import FLOOR, TINY
 
-AWAY = (1.5, 2.0, 2.8, 4.0, 8.0)
+INSTRUMENT_DISTANCES = (1.5, 2.0, 2.8, 4.0, 8.0)
 """Work: Distances of an instrument that is looked for, in RMS distances of the targets from their middle: nearer it would stand
 among them, and from farther off its lines of sight are as good as parallel."""
 
@@ -204,7 +204,7 @@ def _shapes_of_channel(
     origin = np.zeros(3)
 
     def from_afar(v: np.ndarray) -> list[np.ndarray]:
-        return [middle + sign * far * spread * v for far in AWAY for sign in (1.0, -1.0)]
+        return [middle + sign * far * spread * v for far in INSTRUMENT_DISTANCES for sign in (1.0, -1.0)]
 
     depths = [NoiseShape("depth", name, None, origin, power=k) for k in (0, 1, 2)]
     depths.append(NoiseShape("depth", name, most, origin, power=2, free=2))

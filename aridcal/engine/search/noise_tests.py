@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import chdtr, chdtrc, ndtr
 
-from aridcal.engine.corrections.condition_kinds import SIDE
+from aridcal.engine.corrections.condition_kinds import FEWEST_ROWS_OF_A_SIDE
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import RepeatScatter
 from aridcal.engine.fit.problem import problem
@@ -26,32 +26,32 @@ from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
-SURE = 7e-4
+FALSE_ALARM = 7e-4
 """Chance of a false alarm of each question. There are seven at the most: one of 200 clean campaigns is called structured."""
 
-LEAST = 0.1
+LEAST_STRUCTURE_SHARE = 0.1
 """Share of the variance below which repeatable structure is not worth a word: 5 % of the error."""
 
-NEIGHBOURS = 4
+NEAREST_CONFIGURATIONS = 4
 """Nearest configurations that a row is compared with; they are sought among four times as many rows at the least."""
 
-REACH = 3
+NEIGHBOURING_ROWS = 3
 """Rows after each that count as its neighbours, in each order: a bump of few rows makes few pairs."""
 
 SHUFFLES = 400
 """Work: Orders drawn at random that tell how much chance varies: its spread is then known to 4 %."""
 
-TOGETHER = 2**17
+SHUFFLED_AT_ONCE = 2**17
 """Work: Numbers of residuals that are shuffled at once: they stay in the cache, and few rows take few calls."""
 
-ASKED = 10_000
+MOST_TESTED_ROWS = 10_000
 """Work: Rows that are asked at the most, of more: a correlation of 0.03 shows among so many."""
 
-STRETCHES = 20
+TESTED_STRETCHES = 20
 """Work: Stretches of rows in the order of measurement that those are: 500 rows on end show what changes fast, twenty of these
 what changes slowly."""
 
-FELT = 1e-9
+LEAST_LEVER_SHARE = 1e-9
 """Work: Share of its largest lever below which a joint moves the target in none of a row's numbers."""
 
 NoiseQuestion = Literal[
@@ -91,7 +91,7 @@ class Clue:
     @property
     def tells(self) -> bool:
         """True if the test shows structure worth a word."""
-        return self.p_value < SURE and self.share > LEAST
+        return self.p_value < FALSE_ALARM and self.share > LEAST_STRUCTURE_SHARE
 
 
 def clues(
@@ -116,8 +116,8 @@ def clues(
     residual = np.nan_to_num(residual)
     white = residual / spread(sigma, rows.channels)
     clues_found = [_repeats(repeats, sigma)] if repeats is not None else []
-    if len(white) > 4 * NEIGHBOURS:
-        some = stretches(rows.sequence, ASKED)
+    if len(white) > 4 * NEAREST_CONFIGURATIONS:
+        some = stretches(rows.sequence, MOST_TESTED_ROWS)
         part = rows if len(some) == len(rows) else rows.select(some)
         others = _other_views(part, residual[some], sigma, fit) if fit else []
         views = [ResidualView("in world axes", white[some]), *others]
@@ -134,7 +134,7 @@ def clues(
 
 
 def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
-    """Ascending row numbers: all, or of many rows :data:`STRETCHES` stretches on end, spread evenly.
+    """Ascending row numbers: all, or of many rows :data:`TESTED_STRETCHES` stretches on end, spread evenly.
 
     Args:
         sequence: Numbers of the N rows in the order of measurement, shape (N,).
@@ -142,8 +142,8 @@ def stretches(sequence: np.ndarray, most: int) -> np.ndarray:
     """
     if len(sequence) <= most:
         return np.arange(len(sequence))
-    length = most // STRETCHES
-    first = np.linspace(0, len(sequence) - length, STRETCHES).round().astype(int)
+    length = most // TESTED_STRETCHES
+    first = np.linspace(0, len(sequence) - length, TESTED_STRETCHES).round().astype(int)
     return np.sort(sequence[(first[:, None] + np.arange(length)).ravel()])
 
 
@@ -162,7 +162,9 @@ def _things(rows: Dataset, white: np.ndarray) -> list[Clue]:
     numbers = np.sum(white != 0.0, axis=1)
     square = np.sum(white**2, axis=1) / np.maximum(numbers, 1)
     count, square_sum = np.bincount(thing), np.bincount(thing, square)
-    candidates = np.flatnonzero((count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEIGHBOURS)).tolist()
+    candidates = np.flatnonzero(
+        (count >= FEWEST_TOGETHER) & (len(thing) - count >= 4 * NEAREST_CONFIGURATIONS)
+    ).tolist()
     if not candidates:
         return []
     from scipy.stats import mannwhitneyu  # slow to load, and only several things need it
@@ -207,7 +209,7 @@ def _other_views(rows: Dataset, residual: np.ndarray, sigma: np.ndarray, fit: Fi
     lever = np.linalg.norm(J, axis=1)
     along = np.einsum("nms,nm->ns", J, residual / scale) / np.maximum(lever, TINY)
     for k, name in enumerate(robot.names):
-        felt = lever[:, k] > FELT * lever.max()
+        felt = lever[:, k] > LEAST_LEVER_SHARE * lever.max()
         if felt.all():
             views.append(ResidualView(f"as a motion of {name}", along[:, k, None] / np.sqrt(np.mean(along[:, k] ** 2))))
     return views
@@ -247,16 +249,16 @@ def _moving_joints(readings: np.ndarray) -> np.ndarray:
 
 
 def _nearest(readings: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Each row, and its :data:`NEIGHBOURS` nearest, in standard deviations of each joint's readings, shape (pairs,) each."""
+    """Each row, and its :data:`NEAREST_CONFIGURATIONS` nearest, by readings in standard deviations; shape (pairs,) each."""
     points = readings[:, _moving_joints(readings)]
     points = points / points.std(axis=0)
-    near = np.asarray(cKDTree(points).query(points, k=NEIGHBOURS + 1)[1])[:, 1:]
-    return np.repeat(np.arange(len(points)), NEIGHBOURS), near.ravel()
+    near = np.asarray(cKDTree(points).query(points, k=NEAREST_CONFIGURATIONS + 1)[1])[:, 1:]
+    return np.repeat(np.arange(len(points)), NEAREST_CONFIGURATIONS), near.ravel()
 
 
 def _successors(order: np.ndarray) -> np.ndarray:
-    """Pairs of rows that are at most :data:`REACH` apart in an order of shape (N,)."""
-    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, REACH + 1)])
+    """Pairs of rows that are at most :data:`NEIGHBOURING_ROWS` apart in an order of shape (N,)."""
+    return np.concatenate([np.column_stack([order[:-k], order[k:]]) for k in range(1, NEIGHBOURING_ROWS + 1)])
 
 
 def _correlation(
@@ -334,7 +336,7 @@ def _change(views: Sequence[ResidualView], rows: Dataset, order: np.ndarray, wor
     white, starts = _side_by_side(views)
     white = white - white.mean(axis=0)
     n = len(white)
-    before = np.arange(min(SIDE, n // 2), n - min(SIDE, n // 2) + 1)
+    before = np.arange(min(FEWEST_ROWS_OF_A_SIDE, n // 2), n - min(FEWEST_ROWS_OF_A_SIDE, n // 2) + 1)
     weight = before * (1.0 - before / n)
 
     # Column by column: sums and maxima run along what lies side by side in memory.
@@ -349,7 +351,7 @@ def _change(views: Sequence[ResidualView], rows: Dataset, order: np.ndarray, wor
 
     steps = [step[0] for step in statistics(order[None])]
     largest = np.array([step.max() for step in steps])
-    each, drawn = max(TOGETHER // white.size, 1), []
+    each, drawn = max(SHUFFLED_AT_ONCE // white.size, 1), []
     for first in progress.over(range(0, SHUFFLES, each), "shuffles of the rows"):
         orders = np.array([rng.permutation(n) for _ in range(min(each, SHUFFLES - first))])
         drawn.append(np.transpose([step.max(axis=1) for step in statistics(orders)]))

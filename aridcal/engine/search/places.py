@@ -15,7 +15,7 @@ from aridcal.engine.search.state import State, activate, noise_with, without_eff
 ROWS_A_PLACE = 1.5
 """On the average, from which what rows of a place have in common is told from what each has."""
 
-CLEARLY = 20.0
+PLACE_SCATTER_EVIDENCE = 20.0
 """[nat] from which places scatter: what effects still to come explain may look like it, and what is small decides nothing."""
 
 
@@ -53,7 +53,7 @@ def with_scatter(state: State, scatter: tuple[Effect, ...]) -> State:
         if any(a.effect == effect for a in state.active):
             state = without_effect(state, effect)
         score = score_of(state, effect)
-        if score.gain >= CLEARLY:
+        if score.gain >= PLACE_SCATTER_EVIDENCE:
             scattering = replace(activate(state, effect, score), declared=True)  # a nuisance: no gate judges it
             state = state.with_active((*state.active, scattering), noise_with(state, score))
     return state

@@ -25,22 +25,22 @@ from aridcal.engine.corrections.effect import Effect
 from aridcal.engine.instruments.channels import Channels, columns
 from aridcal.engine.search.grids import Grid, LocalValues, grid_of, local, moved_rows, moving_slots
 
-CHUNK = 128
+COLUMNS_PER_CHUNK = 128
 """Work: Columns that are multiplied at once: their Gram matrix stays in the cache."""
 
-PIECE = 24
+COLUMNS_PER_PIECE = 24
 """Work: Columns whose Gram matrix is made: of candidates that are tried one by one all but the diagonal is made in vain, and of
 fewer columns each call costs more than its sums."""
 
-GRID = 4
+LEAST_GRID_CANDIDATES = 4
 """Work: Candidates of the same functions from which they are multiplied as a grid: for fewer it takes as long as their
 columns."""
 
-KEPT = 2**25
+KEPT_NUMBERS = 2**25
 """Work: Numbers of the library's columns and products that are kept, 256 MB, columns up to half of that; the rest is made again
 when needed."""
 
-LIMBS = 16
+MOST_ROW_KINDS = 16
 """Work: Kinds of rows, by the constants that move them, up to which each is multiplied by its own: of more each has too few
 rows."""
 
@@ -290,7 +290,7 @@ class Products:
             of_grids, (self.chunk(group, rows) for rows, members in others for group in grouped(members))
         ):
             if self._room(chunk.gram.size):
-                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT // 2)
+                room = self._room(sum(x.size for x in chunk.columns or ()), KEPT_NUMBERS // 2)
                 stored = chunk if room else replace(chunk, columns=None)
                 for effect, part in column_places(chunk.effects):
                     self._place[effect] = stored, part
@@ -320,7 +320,9 @@ class Products:
             if effect.smooth and len(slots) == 1:
                 alike.setdefault((bases, moved[effect]), {})[effect] = slots[0]
         grids = [
-            (b, members) for (b, _), members in alike.items() if len(members) >= GRID and self._functions(b) is not None
+            (b, members)
+            for (b, _), members in alike.items()
+            if len(members) >= LEAST_GRID_CANDIDATES and self._functions(b) is not None
         ]
         others: dict[bytes, list[Effect]] = {}
         of_grids = {effect for _, members in grids for effect in members}
@@ -345,7 +347,7 @@ class Products:
         grid = grid_of(*self._slots(tuple(effects.values())), functions)
         return Chunk(tuple(effects), grid.gram(), grid.pull(self.r), {}, None, grid.rows, grid)
 
-    def _room(self, numbers: int, most: int = KEPT) -> bool:
+    def _room(self, numbers: int, most: int = KEPT_NUMBERS) -> bool:
         """True, and the numbers counted, if there is room for so many more."""
         room = self._kept + numbers <= most
         self._kept += numbers if room else 0
@@ -411,7 +413,7 @@ class Products:
         by_row = [y.reshape(len(self.layout.order), -1, y.shape[1]) for y in self.columns(None)]
         moved = np.packbits(np.any([y.any(axis=1) for y in by_row], axis=0), axis=1)
         kinds, number = np.unique(moved, axis=0, return_inverse=True)
-        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= LIMBS else []
+        return [np.flatnonzero(number == k) for k in range(len(kinds))] if 1 < len(kinds) <= MOST_ROW_KINDS else []
 
     def _in_rows(self, member: Effect | None, rows: np.ndarray) -> tuple[Flat, np.ndarray]:
         """Columns of a member that are not zero in a limb's rows, in these rows, and their numbers; they are kept."""
@@ -424,11 +426,11 @@ class Products:
 
 
 def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
-    """Candidates in groups of about :data:`CHUNK` columns."""
+    """Candidates in groups of about :data:`COLUMNS_PER_CHUNK` columns."""
     groups: list[list[Effect]] = []
-    size = CHUNK
+    size = COLUMNS_PER_CHUNK
     for effect in effects:
-        if size + len(effect.coefficients) > CHUNK:
+        if size + len(effect.coefficients) > COLUMNS_PER_CHUNK:
             groups.append([])
             size = 0
         groups[-1].append(effect)
@@ -437,12 +439,12 @@ def grouped(effects: Sequence[Effect]) -> list[list[Effect]]:
 
 
 def pieces(effects: Sequence[Effect]) -> list[tuple[int, int]]:
-    """First column, and one beyond the last, of pieces of whole candidates, about :data:`PIECE` columns each."""
+    """First column, and one beyond the last, of pieces of whole candidates, about :data:`COLUMNS_PER_PIECE` columns each."""
     ends = [0]
     end = 0
     for k, effect in enumerate(effects):
         end += len(effect.coefficients)
-        if end - ends[-1] >= PIECE or k == len(effects) - 1:
+        if end - ends[-1] >= COLUMNS_PER_PIECE or k == len(effects) - 1:
             ends.append(end)
     return list(pairwise(ends))
 

@@ -13,7 +13,7 @@ from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem, scaled
 from aridcal.engine.fit.residual import scaled_columns
 from aridcal.engine.instruments.channels import spread
-from aridcal.engine.levels import FAINT, SLIGHT
+from aridcal.engine.levels import FAINT_LEVER_SHARE, SLIGHT
 from aridcal.engine.numerics import FLOOR, TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.noise_tests import rms_of_channels
@@ -28,7 +28,7 @@ FEW_VALUES = 12
 CURVE = 120
 """Drawn: Points of a smooth curve."""
 
-LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
+TREND_LENGTHS = (0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 """Drawn: Over which a smooth curve may be alike, in shares of the covariate's range: about an octave apart."""
 
 LAGS = 30
@@ -188,7 +188,7 @@ def _pulls(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray) -> tu
     pulls = []
     for k, joint in enumerate(robot.joints):
         lever = np.sum(J[:, :, k] ** 2, axis=1)
-        weight = np.where(lever > FAINT * np.median(lever), lever, 0.0)
+        weight = np.where(lever > FAINT_LEVER_SHARE * np.median(lever), lever, 0.0)
         if weight.any():
             pull_before, pull_after = (
                 np.sum(J[:, :, k] * r / sigma, axis=1) / np.maximum(lever, TINY) for r in (before_scaled, after_scaled)
@@ -286,7 +286,7 @@ def _smooth(m: _Means, at: np.ndarray) -> np.ndarray:
         return np.asarray(variance * (1.0 + d + d**2 / 3.0) * np.exp(-d))
 
     best, curve = -np.inf, np.zeros(len(at))
-    for length in LENGTHS:
+    for length in TREND_LENGTHS:
         K = kernel(m.centre, length) + np.diag(m.std**2)
         pull = np.linalg.solve(K, m.mean)
         likelihood = -0.5 * float(m.mean @ pull + np.linalg.slogdet(K)[1])

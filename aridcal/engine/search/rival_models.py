@@ -21,7 +21,7 @@ from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.state import State, activate, noise_with, without_effect
 from aridcal.system.progress import SILENT, Progress
 
-RANKED = 12
+RANKED_CANDIDATES = 12
 """Work: Candidates among which those confounded with an effect are sought."""
 
 SIMILAR = 0.7
@@ -84,7 +84,7 @@ def _twins(
         return ()
     name = (named.effect.kind, named.effect.where, named.effect.with_, named.effect.by)
     twins: dict[tuple[object, ...], tuple[Effect, Score]] = {}
-    for rival, score_of_rival in ranked[:RANKED]:
+    for rival, score_of_rival in ranked[:RANKED_CANDIDATES]:
         other = (rival.kind, rival.where, rival.with_, rival.by)
         if score_of_rival.gain > score.gain - STRONG and other != name:
             twins.setdefault(other, (rival, score_of_rival))

@@ -22,7 +22,7 @@ from aridcal.engine.search.evidence import Score, Solution, noise_left, solve
 from aridcal.engine.search.linear_model import ActiveEffect, LinearModel
 from aridcal.engine.search.products import Chunk, Member, Products
 
-FAINT = 0.02
+FAINT_MODE_SHARE = 0.02
 """Work: A mode that the data could move by less than this share of its prior is left out: nothing would be learnt of it."""
 
 T = TypeVar("T")
@@ -346,7 +346,7 @@ def activate(state: State, effect: Effect, score: Score) -> ActiveEffect:
     gram = np.tensordot(noise_with(state, score) ** -2.0, chunk.of_one(columns), 1)
     root = score.tau * samples_root(effect.shape, score.kernel)
     information, modes = np.linalg.eigh(root.T @ gram @ root)
-    return ActiveEffect(effect, score, root @ modes[:, information > FAINT])
+    return ActiveEffect(effect, score, root @ modes[:, information > FAINT_MODE_SHARE])
 
 
 def noise_with(state: State, score: Score) -> np.ndarray:

@@ -11,17 +11,17 @@ from aridcal.engine.corrections.regional_kind import is_field
 from aridcal.engine.search.candidates import hinted_candidates
 from aridcal.engine.search.curves import reshaped
 from aridcal.engine.search.evidence import Score
-from aridcal.engine.search.ranking import REFINED, rank, substitutes, with_effect, with_flags
+from aridcal.engine.search.ranking import REFINED_CANDIDATES, rank, substitutes, with_effect, with_flags
 from aridcal.engine.search.scoring import ALPHA, Judgement, judge, refine
 from aridcal.engine.search.screening import score_without
 from aridcal.engine.search.sets import Choices
 from aridcal.engine.search.state import State, activate, solve_state, without_effect
 from aridcal.system.progress import Progress
 
-JUDGED = 4
+JUDGED_CANDIDATES = 4
 """Work: Candidates that are tried on rows held back, the best first, before a step gives up."""
 
-BETTER = 1.0
+BETTER_EVIDENCE = 1.0
 """[nat] by which another candidate must do better to take an effect's place: without it, near twins change for ever."""
 
 
@@ -64,12 +64,12 @@ def _worth_judging(
     state: State, ranked: Sequence[tuple[Effect, Score]], choices: Choices
 ) -> Iterator[tuple[Effect, Score]]:
     """The best candidates, as long as chance does not explain them, and the best of families with several members in it."""
-    for effect, score in ranked[:JUDGED]:
+    for effect, score in ranked[:JUDGED_CANDIDATES]:
         yield effect, score
         if score.p_value * choices.count > ALPHA:
             break
     expected = [(e, s) for e, s in ranked if s.gain > 0.0 and choices.siblings(state.active, e)]
-    for effect, score in expected[:JUDGED]:
+    for effect, score in expected[:JUDGED_CANDIDATES]:
         if score.p_value * choices.siblings(state.active, effect) < 1.0:
             yield effect, refine(state, effect, score)
 
@@ -110,10 +110,13 @@ def tidy(state: State, choices: Choices, rounds: int, progress: Progress) -> Sta
             if score is None:  # a map of the same joint, added since, covers it
                 state = without
                 continue
-            worth = {e: s.gain - choices.price(without.active, activate(without, e, s)) for e, s in ranked[:REFINED]}
-            best, best_score = max(ranked[:REFINED], key=lambda pair: worth[pair[0]])
+            worth = {
+                e: s.gain - choices.price(without.active, activate(without, e, s))
+                for e, s in ranked[:REFINED_CANDIDATES]
+            }
+            best, best_score = max(ranked[:REFINED_CANDIDATES], key=lambda pair: worth[pair[0]])
             worth_of_effect = score.gain - choices.price(without.active, activate(without, effect, score))
-            if best == effect or worth[best] < worth_of_effect + BETTER:
+            if best == effect or worth[best] < worth_of_effect + BETTER_EVIDENCE:
                 best, best_score = effect, score
             keep = not judge(without, best, best_score, choices).why
             state = with_effect(without, best, best_score) if keep else with_flags(without)

@@ -14,10 +14,10 @@ from aridcal.engine.search.state import State, without_effect
 from aridcal.engine.search.steps import grow, tidy
 from aridcal.system.progress import SILENT, Progress
 
-MOST = 14
+MOST_EFFECTS = 14
 """Work: Effects that are added at the most: two for each joint of a seven-joint arm."""
 
-PASSES = 4
+MOST_ADDING_PASSES = 4
 """Work: Times that effects are added and tidied in turn, where that is cheap."""
 
 
@@ -39,7 +39,7 @@ class StepwiseResult:
 def search(
     start: State,
     library: Sequence[Effect],
-    most: int = MOST,
+    most: int = MOST_EFFECTS,
     tested: int = 0,
     exchange: bool = True,
     progress: Progress = SILENT,
@@ -81,7 +81,7 @@ def exchange_sets(result: StepwiseResult, library: Sequence[Effect], progress: P
 def _passes(state: State, choices: Choices, most: int, progress: Progress) -> tuple[State, tuple[Judgement, ...]]:
     """The model with effects added and tidied in turn, until both change nothing."""
     rejected: tuple[Judgement, ...] = ()
-    for _ in range(PASSES):
+    for _ in range(MOST_ADDING_PASSES):
         state, rejected = grow(state, choices, most, True, progress)
         before = state.effects
         state = tidy(state, choices, 2, progress)

@@ -15,22 +15,22 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.trust.tolerance import ToleranceAnswer, excess_error, instrument_noise, no_answer, tolerance_answer
 from aridcal.engine.trust.workspace import Knowledge, OpenCombination, Workspace, ends, knowledge, spread_out
 
-CLOUD = 8192
+SLICE_POOL = 8192
 """Work: Configurations among which those of a slice are looked for."""
 
-THICK = 0.06
+SLICE_THICKNESS = 0.06
 """Drawn: Of the reach: half the thickness of a slice. A tenth of all configurations are then in one."""
 
-IN_SLICE = 400
+MOST_SLICE_CONFIGURATIONS = 400
 """Drawn: Configurations of a slice: more would be dots upon dots."""
 
 PLANES = ((0, 2), (0, 1))
 """Axes of the base frame along the slices: a view from the side, and one from above."""
 
 
-LEAST = 128
-"""Configurations, of :data:`aridcal.engine.trust.workspace.SAMPLES`, that must be like measured ones to stand for a range:
-their share that is within a tolerance is then known to 2 %."""
+LEAST_REGION_CONFIGURATIONS = 128
+"""Configurations, of :data:`aridcal.engine.trust.workspace.WORKSPACE_SAMPLES`, that must be like measured ones to stand for a
+range: their share that is within a tolerance is then known to 2 %."""
 
 
 @dataclass(frozen=True)
@@ -156,23 +156,23 @@ def _measured_region(known_model: Knowledge, train: Dataset, tool: Sequence[floa
     """
     readings = spread_out(train.readings.min(axis=0), train.readings.max(axis=0))
     box = known_model.over(train, readings, _like(train, readings), tool)
-    if box.measured.sum() >= LEAST:
+    if box.measured.sum() >= LEAST_REGION_CONFIGURATIONS:
         return box.select(box.measured), "the range that was measured"
-    rows = np.unique(np.linspace(0, len(train) - 1, LEAST).round().astype(int))
+    rows = np.unique(np.linspace(0, len(train) - 1, LEAST_REGION_CONFIGURATIONS).round().astype(int))
     return known_model.over(train, train.readings[rows], rows, tool), "the configurations that were measured"
 
 
 def _slices(known_model: Knowledge, train: Dataset) -> tuple[Slice, ...]:
     """Slices of the whole range of the joints."""
-    readings = spread_out(*ends(train, known_model.fit.model.robot.limits), CLOUD)
+    readings = spread_out(*ends(train, known_model.fit.model.robot.limits), SLICE_POOL)
     like = _like(train, readings)
     cloud = known_model.places(train, readings, like)
     middle = np.median(known_model.places(train, train.readings, np.arange(len(train))), axis=0)
-    thick = THICK * float(np.ptp(cloud, axis=0).max())
+    thick = SLICE_THICKNESS * float(np.ptp(cloud, axis=0).max())
     slices = []
     for axes in PLANES:
         across = 3 - sum(axes)
-        near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:IN_SLICE]
+        near = np.flatnonzero(np.abs(cloud[:, across] - middle[across]) < thick)[:MOST_SLICE_CONFIGURATIONS]
         if len(near):
             slices.append(Slice(axes, float(middle[across]), known_model.over(train, readings[near], like[near])))
     return tuple(slices)

@@ -23,7 +23,7 @@ from aridcal.engine.instruments.channels import Channels, spread
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.system.progress import SILENT, Progress
 
-NUMBERS = 10_000_000
+MOST_HELD_NUMBERS = 10_000_000
 """Work: Numbers of the largest array that is held, 80 MB: of a model of very many coefficients fewer rows are looked at."""
 
 
@@ -132,7 +132,7 @@ def columns_of(fit: Fit, data: Dataset, sigma: np.ndarray, most: int, progress: 
         progress: Told how far the pass over them is.
     """
     wide = sum(channel.size for channel in data.channels) * max(len(fit.theta), 1)
-    chosen, fit_problem = _linearised_rows(fit, data, min(most, NUMBERS // wide), progress)
+    chosen, fit_problem = _linearised_rows(fit, data, min(most, MOST_HELD_NUMBERS // wide), progress)
     per = 1.0 / spread(sigma, fit_problem.channels)
     root = np.sqrt(fit.weight[chosen] * data.repeats.share)[:, None] * per
     shape, count = root.shape, len(fit.theta)

@@ -21,15 +21,15 @@ from aridcal.system.progress import SILENT, Progress
 MOST_PARTS = 4
 """Drawn: Parts of a combination that are named; no one can picture more."""
 
-TOGETHER = 3.0
+PAIR_RATIO = 3.0
 """Times that a sum is known better than the difference, or the other way round, from which a pair is worth a sentence: the two
 are then correlated by 0.8."""
 
-SPARED = 2.0
+SPARE_CONSTANT_COST = 2.0
 """Squares, in sigmas, that fixing one more constant at nominal may cost: its own variance, 1, is gained, and a constant that
 is really nominal costs 1 on average (Akaike 1973; Mallows' C_p)."""
 
-ROWS = 300
+AVERAGED_ROWS = 300
 """Work: Rows over which the shift of the target is averaged."""
 
 
@@ -111,7 +111,7 @@ def identifiability(fit: Fit, train: Dataset, progress: Progress = SILENT) -> Id
     units = ["rad" if fit.model.coefficients[k].component in ANGULAR else "m" for k in arm_constants]
     covariance = fit.covariance[np.ix_(arm_constants, arm_constants)]
     spare, moved = _spare(fit, arm_constants)
-    rows = columns_of(fit, train, fit.sigma, ROWS, progress)
+    rows = columns_of(fit, train, fit.sigma, AVERAGED_ROWS, progress)
     J = rows.target.reshape(-1, len(fit.theta))
     variance = float(np.sum((J @ fit.covariance) * J)) / len(rows)
     return Identifiability(
@@ -158,7 +158,7 @@ def _pairs(names: list[str], units: list[str], covariance: np.ndarray) -> tuple[
             if squares - abs(cross) <= 0.0:
                 continue  # one of the two is known to rounding
             pair = Pair(names[i], names[j], units[i], float(np.sqrt(squares + cross)), float(np.sqrt(squares - cross)))
-            if pair.ratio >= TOGETHER:
+            if pair.ratio >= PAIR_RATIO:
                 pairs.append(pair)
     return tuple(sorted(pairs, key=lambda pair: -pair.ratio))
 
@@ -174,7 +174,7 @@ def _spare(fit: Fit, arm_constants: np.ndarray) -> tuple[list[int], np.ndarray]:
         variance = np.diag(covariance)[needed]
         cost = np.where(variance > 0.0, theta[needed] ** 2 / np.where(variance > 0.0, variance, 1.0), np.inf)
         least = int(np.argmin(cost))
-        if cost[least] >= SPARED:
+        if cost[least] >= SPARE_CONSTANT_COST:
             break
         k = needed.pop(least)
         spare.append(k)

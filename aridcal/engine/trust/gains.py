@@ -17,7 +17,7 @@ from aridcal.engine.fit.normal_equations import conditional
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import problem_with_things
 from aridcal.engine.instruments.channels import Channels, columns
-from aridcal.engine.levels import FAINT, FOLDS
+from aridcal.engine.levels import CHOOSING_FOLDS, FAINT_LEVER_SHARE
 from aridcal.engine.numerics import TINY
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.search.diagnose import SearchResult
@@ -25,7 +25,7 @@ from aridcal.engine.search.noise_tests import Clue
 from aridcal.engine.search.rival_models import RivalModel
 from aridcal.engine.search.scoring import held_back_errors
 
-GRID = 160
+CURVE_GRID = 160
 """Drawn: Points of a curve, at least: it is drawn without corners."""
 
 PER_PERIOD = 16
@@ -194,7 +194,7 @@ def _over_time(diagnosed: SearchResult) -> float | None:
         return None
     other_effects = [a for a in state.active if a is not of_time[-1]]
     without_it = state.with_active(other_effects, fixed=True)
-    squares = held_back_errors(without_it, of_time[-1], linear.run[state.used] % FOLDS)
+    squares = held_back_errors(without_it, of_time[-1], linear.run[state.used] % CHOOSING_FOLDS)
     return float(state.solution.sigma[0] * np.sqrt(squares[1, 0].mean() / linear.share))
 
 
@@ -276,7 +276,7 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
     lever = np.sum((column / state.sigma) ** 2, axis=1)
     own_motion = np.sum(column * state.residual / state.sigma**2, axis=1) / np.maximum(lever, TINY)
     motion = np.column_stack([evaluate(c.basis, table) for c in part]) @ theta
-    telling = state.used & (lever > FAINT * np.median(lever))
+    telling = state.used & (lever > FAINT_LEVER_SHARE * np.median(lever))
     joint = next((j for j in diagnosed.observed.robot.joints if j.name == where), None)
     turns = component in ANGULAR or (component == "axis" and joint is not None and joint.kind == "revolute")
     return Curve(
@@ -296,4 +296,4 @@ def _grid(values: np.ndarray, part: Sequence[Coefficient]) -> np.ndarray:
     low, high = float(values.min()), float(values.max())
     highest = max((abs(c.basis.numbers[0]) for c in part if c.basis.form in ("sin", "cos")), default=0.0)
     periods = highest * (high - low) / (2 * math.pi)
-    return np.linspace(low, high, max(GRID, math.ceil(PER_PERIOD * periods)))
+    return np.linspace(low, high, max(CURVE_GRID, math.ceil(PER_PERIOD * periods)))

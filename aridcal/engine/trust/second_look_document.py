@@ -10,7 +10,7 @@ from aridcal.engine.trust.cross_validation import Folds, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.engine.trust.second_look import SecondLook
 
-MOST = 20
+MOST_INFLUENCES = 20
 """Drawn: Rows of which the influence is written."""
 
 
@@ -70,7 +70,7 @@ def _influence(influence: Influence, train: Dataset) -> dict[str, Any]:
             "leverage": float(influence.leverage[i]),
             "cook": float(influence.cook[i]),
         }
-        for i, k in enumerate(influence.rows[:MOST].tolist())
+        for i, k in enumerate(influence.rows[:MOST_INFLUENCES].tolist())
     ]
     return {"target_std_mm": 1e3 * influence.sigma, "deciding": len(influence.deciding), "rows": rows}
 

@@ -36,13 +36,13 @@ SHARE = 0.95
 CONFIDENCE = 0.95
 """How sure that must be: of calibrations that are said to be within, at most one in twenty is not. Convention."""
 
-DRAWS = 400
+MODEL_ERROR_DRAWS = 400
 """Work: Of the calibration's error: the 95th percentile of what they give is then that of 93 to 97 % of all."""
 
-AXES = 3
+AXES_OF_A_PLACE = 3
 """Work: Of a place, or of a turn."""
 
-UNKNOWN_NOISE = (
+NOISE_UNKNOWN_SENTENCE = (
     "the instrument's noise is not declared, or cannot be what is declared: all that scatters counts as the robot's"
 )
 """What is said of it."""
@@ -269,7 +269,7 @@ def tolerance_answer(
     quantiles = np.quantile(length, SHARE, axis=0, method="higher")
     bound = float(np.quantile(quantiles, CONFIDENCE, method="higher"))
     variance = np.einsum("nii->n", region.turns if turn else region.covariance)[known_places]
-    remarks = [] if excess.declared else [UNKNOWN_NOISE]
+    remarks = [] if excess.declared else [NOISE_UNKNOWN_SENTENCE]
     if not excess.held_out:
         remarks.append("no row was held out: what goes beyond the calibration is that of the fitted rows")
     answer = ToleranceAnswer(
@@ -279,7 +279,7 @@ def tolerance_answer(
         share=float("nan"),
         confidence=float("nan"),
         calibration=float(np.sqrt(variance.mean())) if known_places.any() else float("nan"),
-        beyond=float(np.sqrt(AXES) * excess.sigma),
+        beyond=float(np.sqrt(AXES_OF_A_PLACE) * excess.sigma),
         measured=float(region.measured.mean()),
         told=float(determined.mean()),
         rows=len(excess.size),
@@ -325,7 +325,9 @@ def _drawn(columns: np.ndarray, covariance: np.ndarray, rng: np.random.Generator
     # The symmetric root is the same whatever signs rounding gives the vectors.
     root = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     flat = columns.reshape(columns.shape[0] * columns.shape[1], len(root))
-    return np.asarray(flat @ (root @ rng.standard_normal((len(root), DRAWS)))).reshape(*columns.shape[:2], DRAWS)
+    return np.asarray(flat @ (root @ rng.standard_normal((len(root), MODEL_ERROR_DRAWS)))).reshape(
+        *columns.shape[:2], MODEL_ERROR_DRAWS
+    )
 
 
 def _beyond(excess: ExcessError, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
@@ -337,7 +339,7 @@ def _beyond(excess: ExcessError, shape: tuple[int, ...], rng: np.random.Generato
     """
     direction = rng.standard_normal(shape)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    size = np.sqrt(AXES) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
+    size = np.sqrt(AXES_OF_A_PLACE) * excess.drawn(shape[2], rng) * rng.standard_normal((shape[0], 1, shape[2]))
     return np.asarray(direction * size)
 
 

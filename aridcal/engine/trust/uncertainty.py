@@ -9,7 +9,7 @@ import numpy as np
 from aridcal.engine.fit.flags import distance, robust_sigma
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.noise import covariance_of_rows, noise_ratio
-from aridcal.engine.fit.problem import BLOCK, Problem, problem
+from aridcal.engine.fit.problem import ROWS_PER_BLOCK, Problem, problem
 from aridcal.engine.fit.residual import linearise
 from aridcal.engine.instruments.channels import Channels
 from aridcal.engine.model.model import ModelRows
@@ -21,7 +21,7 @@ from aridcal.system.progress import SILENT, Progress
 REALIGN_STEPS = 12
 """Work: Gauss-Newton steps at the most to fit two frames anew; five are usual."""
 
-FAR = 10.0
+GROSS_OUTLIER_SCALES = 10.0
 """Robust scales beyond which a held-out row is a gross outlier: so far that no model is to blame."""
 
 
@@ -73,8 +73,8 @@ def target_sigma(fit: Fit, rows: ModelRows) -> tuple[np.ndarray, np.ndarray]:
     """
     worst, model = np.empty((2, len(rows))), fit.model
     local = model.local
-    for start in range(0, len(rows), BLOCK):
-        block = slice(start, start + BLOCK)
+    for start in range(0, len(rows), ROWS_PER_BLOCK):
+        block = slice(start, start + ROWS_PER_BLOCK)
         _, _, J = (model.jacobian if local is None else model.motions)(fit.theta, rows[block])
         covariance = (
             covariance_of_rows(J, fit.covariance)
@@ -124,6 +124,6 @@ def outliers(train: np.ndarray, flags: np.ndarray, stages: list[np.ndarray], cha
         channels: Of the residuals.
     """
     sigma = robust_sigma(stages[-1][train], channels)
-    far = np.all([distance(r, sigma, channels) > FAR for r in stages], axis=0)
+    far = np.all([distance(r, sigma, channels) > GROSS_OUTLIER_SCALES for r in stages], axis=0)
     far[train] = flags
     return far

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from aridcal.engine.model.model import Model, ModelRows
-from aridcal.engine.trust.coverage import CHANNELS
-from aridcal.engine.trust.workspace import TOLD, OpenCombination, target_covariance, worst_direction
+from aridcal.engine.trust.coverage import POSE_PARTS
+from aridcal.engine.trust.workspace import KNOWN_TARGET_SIGMA, OpenCombination, target_covariance, worst_direction
 
 
 def with_unobservable(
@@ -44,5 +44,5 @@ def observable_rows(
         turns: Whether the target's rotation counts, too.
     """
     covariance = target_covariance(*with_unobservable(model, theta, untold), rows)
-    parts = CHANNELS if turns else CHANNELS[:1]
-    return np.all([worst_direction(covariance[:, part, part])[0] < TOLD for part in parts], axis=0)
+    parts = POSE_PARTS if turns else POSE_PARTS[:1]
+    return np.all([worst_direction(covariance[:, part, part])[0] < KNOWN_TARGET_SIGMA for part in parts], axis=0)

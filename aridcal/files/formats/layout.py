@@ -13,13 +13,13 @@ from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import BLANKS
 from aridcal.system.reading.tables_in_dialect import is_units, joined_header, split_line, strip_comment
 
-SEPARATORS = ("\t", ";", ",", "|", BLANKS)
+TRIED_SEPARATORS = ("\t", ";", ",", "|", BLANKS)
 """Tried in this order; of two that part the same numbers the first, blanks only where nothing else parts any."""
 
-FEWEST = 3
+FEWEST_NUMBERS = 3
 """Numbers of a row: a table of measurements has more columns than that."""
 
-MOST = 0.8
+NUMERIC_SHARE = 0.8
 """Share of rows in which a column is a number, if it is one of numbers."""
 
 ABOVE = 12
@@ -67,7 +67,7 @@ class TableLayout:
 def layout(lines: Sequence[str]) -> TableLayout | None:
     """The layout that makes the most numbers of some lines; None where none makes a table of them."""
     best: TableLayout | None = None
-    for separator in SEPARATORS:
+    for separator in TRIED_SEPARATORS:
         if separator == BLANKS and best is not None:  # words of names are parted by blanks, too
             return best
         found = _layout(lines, separator)
@@ -88,12 +88,12 @@ def _layout(lines: Sequence[str], separator: str) -> TableLayout | None:
         split.append(split_line(line, separator))
     counts = [0 if c else sum(map(_weight, cells)) for c, cells in zip(commented, split, strict=True)]
     widths = Counter(
-        len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST and len(cells) > 1
+        len(cells) for cells, count in zip(split, counts, strict=True) if count >= FEWEST_NUMBERS and len(cells) > 1
     )
     if not widths:
         return None
     width = max(widths, key=lambda size: (widths[size] * size, size))
-    rows = [k for k, cells in enumerate(split) if counts[k] >= FEWEST and len(cells) == width]
+    rows = [k for k, cells in enumerate(split) if counts[k] >= FEWEST_NUMBERS and len(cells) == width]
     numeric = _numeric([split[k] for k in rows], width)
     rows = [k for k in rows if _is_row(split[k], numeric)]
     if not rows:
@@ -140,14 +140,14 @@ def _numeric(rows: Sequence[Sequence[str]], width: int) -> set[int]:
     numeric = set()
     for k in range(width):
         filled = [row[k] for row in rows if row[k]]
-        if filled and sum(1 for cell in filled if _weight(cell)) >= MOST * len(filled):
+        if filled and sum(1 for cell in filled if _weight(cell)) >= NUMERIC_SHARE * len(filled):
             numeric.add(k)
     return numeric
 
 
 def _is_row(cells: Sequence[str], numeric: set[int]) -> bool:
     """True of a line that has numbers, or nothing, where rows have numbers."""
-    return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= MOST * len(numeric)
+    return sum(1 for k in numeric if not cells[k] or _weight(cells[k])) >= NUMERIC_SHARE * len(numeric)
 
 
 def _is_broken_row(cells: Sequence[str], numeric: set[int]) -> bool:

@@ -16,9 +16,9 @@ import yaml
 
 from aridcal.system.errors import MeasurementError, name_list, shortened
 
-NAME = "robot_calibration"
+FORMAT_NAME = "robot_calibration"
 
-ENDINGS = (".yaml", ".yml")
+CALIBRATION_ENDINGS = (".yaml", ".yml")
 
 MOST_EVENTS = 5_000_000
 """Of a file: some 20,000 samples of ten joints and a board of twenty corners."""

@@ -24,10 +24,10 @@ from aridcal.system.reading.numerals import numbers_in_list
 from aridcal.system.reading.regular_files import Limit
 from aridcal.system.reading.tables_in_dialect import LINE_END, decoded
 
-LOOKED_AT = 3000
+SNIFFED_LINES = 3000
 """Lines that are looked at: more make nothing plainer."""
 
-MOST = 4_000_000
+MOST_CHARACTERS = 4_000_000
 """Characters that are looked at; some of a line of any length."""
 
 AT_FIRST = 40
@@ -36,7 +36,7 @@ AT_FIRST = 40
 POSE_OF_SIX = ("x", "y", "z", "rx", "ry", "rz")
 """Names for a list of six numbers that is called a pose."""
 
-GROUP = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
+NESTED_LIST = re.compile(r"[\[({]([^\[\](){}]*)[\])}]")
 """A list in a list."""
 
 POSE_OF_SEVEN = ("x", "y", "z", "q1", "q2", "q3", "q4")
@@ -74,15 +74,15 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
         MeasurementError: it is no table, or one that is written in two ways at once.
     """
     ending = path.suffix.lower()
-    if ending in robot_calibration.ENDINGS:
+    if ending in robot_calibration.CALIBRATION_ENDINGS:
         return _samples(content, path, pick)
     sheet, coded, separated = "", "utf-8", ","
-    if ending in workbooks.ENDINGS:
+    if ending in workbooks.WORKBOOK_ENDINGS:
         sheet, text = _sheet(content, path, limit, pick)
     else:
         coded = encoding(content, path)
         text = decoded(content, path, coded)
-    lines = LINE_END.split(text[:MOST])[:LOOKED_AT]
+    lines = LINE_END.split(text[:MOST_CHARACTERS])[:SNIFFED_LINES]
     who = maker(lines[:AT_FIRST])
     try:
         found = layout(lines)
@@ -90,7 +90,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
         raise MeasurementError(f"{path}, {problem}") from None
     if found is None:
         return FileFormat((replace(PLAIN, encoding=coded, sheet=sheet),), who)
-    if ending not in workbooks.ENDINGS:
+    if ending not in workbooks.WORKBOOK_ENDINGS:
         separated = found.separator
     if not found.header:
         raise MeasurementError(
@@ -108,7 +108,7 @@ def look(content: bytes, path: Path, limit: Limit, pick: Pick) -> FileFormat:
     base = replace(base, lists=_lists(found), dates=_dates(found, path, pick))
     numbers = [row[k] for row in found.rows for k in found.numeric if k < len(row) and is_number(row[k])]
     numbers += [part for row in found.rows for cell in row for part in list_parts(cell)]
-    if sheet or ending in workbooks.ENDINGS:
+    if sheet or ending in workbooks.WORKBOOK_ENDINGS:
         numbers = [cell for cell in numbers if "," in cell] or numbers  # Excel's own numbers are none in any dialect
     pairs = marks(numbers, str(path))
     return FileFormat(tuple(replace(base, decimal=decimal, thousands=group) for decimal, group in pairs), who)
@@ -150,14 +150,16 @@ def _samples(content: bytes, path: Path, pick: Pick) -> FileFormat:
             f"{path}: no sensor has points that change from sample to sample; measure more configurations"
         )
     k = 0 if len(names) == 1 else pick("table.sheet", "which sensor measured the target", names, f"{path} has several")
-    return FileFormat((replace(PLAIN, export=robot_calibration.NAME, sheet=names[k]),), robot_calibration.NAME)
+    return FileFormat(
+        (replace(PLAIN, export=robot_calibration.FORMAT_NAME, sheet=names[k]),), robot_calibration.FORMAT_NAME
+    )
 
 
 def _sheet(content: bytes, path: Path, limit: Limit, pick: Pick) -> tuple[str, str]:
     """The sheet that holds a table, empty where there is one only, and its text."""
     names = workbooks.sheets(content, path, limit)
     texts = {name: workbooks.as_csv(content, path, limit, name, ".").decode() for name in names}
-    tables = [name for name in names if layout(texts[name][:MOST].split("\n")[:LOOKED_AT])]
+    tables = [name for name in names if layout(texts[name][:MOST_CHARACTERS].split("\n")[:SNIFFED_LINES])]
     if not tables:
         raise MeasurementError(
             f"{path}: none of the sheets {name_list(names)} holds a table of numbers; name the table that was measured"
@@ -181,7 +183,7 @@ def _lists(found: TableLayout) -> dict[str, tuple[str, ...]]:
         size = sizes.pop()
         about = name.lower()
         named: tuple[str, ...] | None = None
-        groups = [len(numbers_in_list(part, PLAIN)) for part in GROUP.findall(cells[0])]
+        groups = [len(numbers_in_list(part, PLAIN)) for part in NESTED_LIST.findall(cells[0])]
         if groups[:2] == [3, 4]:  # RAPID's robtarget: place, orientation, axes' turns, other axes
             named = (*POSE_OF_SEVEN, *(f"{name} other {number}" for number in range(8, size + 1)))
         elif groups[:1] == [6] and len(groups) > 1:  # RAPID's jointtarget: the arm's axes, other axes

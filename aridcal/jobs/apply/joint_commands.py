@@ -32,13 +32,13 @@ from aridcal.system.progress import SILENT, Progress
 if TYPE_CHECKING:
     import pandas as pd
 
-LEAST_MOTION = 1e-6
+LEAST_BACKLASH_MOTION = 1e-6
 """A joint that moves by less keeps its side of the backlash, [rad] or [m]."""
 RESTARTS = 30
 """Starts for a pose without a seed, or with one that leads nowhere, until one ends inside the measured ranges."""
 TURN = 2.0 * math.pi
 """Once round, [rad]."""
-DAMPING = 0.02
+SINGULARITY_DAMPING = 0.02
 """[m/rad]: a table does not correct along directions that move the target by less: there a singularity is near."""
 DAMPED_STEPS = 4
 """Newton's steps to a table's corrections; they are a thousandth of the joints' range, so that two would do."""
@@ -148,7 +148,7 @@ class Trajectory:
         robot = self._saved.final.model.robot
         positions = robot.positions(readings)[:, robot.names.index(name.removesuffix("_direction"))]
         side, last = self._sides[name]
-        sides = approach(positions, LEAST_MOTION, side, last)
+        sides = approach(positions, LEAST_BACKLASH_MOTION, side, last)
         finite = positions[~np.isnan(positions)]
         self._sides[name] = float(sides[-1]), float(finite[-1]) if len(finite) else last
         return sides
@@ -352,6 +352,6 @@ def _gentle(
     delta = np.zeros(len(q))
     for _ in range(DAMPED_STEPS):
         e, J = inverse.error(R, p, q + delta, covariates)
-        H = J.T @ J + DAMPING**2 * np.eye(len(q))
+        H = J.T @ J + SINGULARITY_DAMPING**2 * np.eye(len(q))
         delta = np.linalg.solve(H, J.T @ (e + J @ delta))
     return delta

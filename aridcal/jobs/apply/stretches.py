@@ -14,7 +14,7 @@ from aridcal.engine.rows.remarks import Remark
 from aridcal.files.tables import AnyTable, Table, is_number, read_tables
 from aridcal.system.errors import MeasurementError
 from aridcal.system.reading.dialect import PLAIN, Dialect
-from aridcal.system.reading.regular_files import MEGA, TABLE, Limit
+from aridcal.system.reading.regular_files import MEGA, TABLE_LIMIT, Limit
 from aridcal.system.reading.table_files import FIRST_LINE, PANDAS_INDEX, check_header, check_size, read_csv
 
 STRETCH_BYTES = 2_000_000
@@ -52,7 +52,7 @@ class TableStretch:
 
 
 def stretches(
-    table: AnyTable, limit: Limit = TABLE, dialect: Dialect = PLAIN, needed: Sequence[str] = ()
+    table: AnyTable, limit: Limit = TABLE_LIMIT, dialect: Dialect = PLAIN, needed: Sequence[str] = ()
 ) -> Iterator[TableStretch]:
     """Read a table a stretch at a time; a short one, a DataFrame, or one that is no plain csv, as a whole.
 

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aridcal.engine.corrections.labels import STATION, label_in
+from aridcal.engine.corrections.labels import LABEL_COLUMN, label_in
 from aridcal.engine.corrections.regional_kind import far_from_nodes, labels_of, without_label
 from aridcal.engine.inverse.one_pose import InverseKinematics
 from aridcal.engine.model.model import Model
 from aridcal.engine.rows.remarks import Remark
-from aridcal.engine.trust.coverage import CLOCK, EXPANSION, Coverage, beyond_heat, recorded_elsewhere
+from aridcal.engine.trust.coverage import CLOCK_COLUMN, EXPANSION, Coverage, beyond_heat, recorded_elsewhere
 from aridcal.engine.trust.rival_predictions import covariance_between
 from aridcal.engine.trust.unobservable import observable_rows
 from aridcal.engine.trust.workspace import spread_out, target_covariance, worst_direction
 from aridcal.files.counting import counting
 from aridcal.files.measurement_settings import TARGET, MeasurementSettings
 from aridcal.files.orientations import QUATERNION, column_of, orientation_columns, swap_direction
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.query import Query, QueryRows, load_query
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import MeasurementError
@@ -78,7 +78,7 @@ def read_queries(saved: SavedModel, table: AnyTable, poses: bool = False) -> Ite
     first: list[Remark] = []
     usable = False
     settings = saved.measurements
-    names = POSITION if poses else saved.final.model.robot.readings
+    names = POSITION_COLUMNS if poses else saved.final.model.robot.readings
     needed = [settings.columns.get(name, name) for name in names]
     for stretch in stretches(table, saved.limits.table, settings.table.dialect, needed):
         query = _query(saved, stretch.table, poses)
@@ -120,9 +120,13 @@ def _query(saved: SavedModel, table: AnyTable | Table, poses: bool) -> Query:
 def _as_nights_count(saved: SavedModel, query: Query) -> Query:
     """A query whose times of day count on after midnight where those of the calibration do."""
     ranges = saved.seen
-    if CLOCK not in query.covariates or CLOCK not in ranges:
+    if CLOCK_COLUMN not in query.covariates or CLOCK_COLUMN not in ranges:
         return query
-    return replace(query, covariates=query.covariates | {CLOCK: times_of_day(query.covariates[CLOCK], *ranges[CLOCK])})
+    return replace(
+        query,
+        covariates=query.covariates
+        | {CLOCK_COLUMN: times_of_day(query.covariates[CLOCK_COLUMN], *ranges[CLOCK_COLUMN])},
+    )
 
 
 def _sides_unknown(saved: SavedModel, query: Query, file: str) -> Query:
@@ -225,7 +229,7 @@ def pose_columns(
     """
     units = settings.units
     R, p = swap_direction(R, p, settings.inverted)
-    names = [column_of(name, settings, joints) for name in POSITION]
+    names = [column_of(name, settings, joints) for name in POSITION_COLUMNS]
     columns = dict(zip(names, (p / [units.scale(name, "length") for name in names]).T, strict=True))
     if settings.traits.place_alone:
         return columns
@@ -381,13 +385,15 @@ def evenly(saved: SavedModel) -> pd.DataFrame:
     for name in model.needs:
         table[settings.columns.get(name, name)] = settings.sense(name) * float(np.mean(saved.ranges[name]))
     if per_station(model):
-        named = zip((TARGET,) if saved.frames_by == TARGET else (STATION, TARGET), model.first_labels, strict=False)
+        named = zip(
+            (TARGET,) if saved.frames_by == TARGET else (LABEL_COLUMN, TARGET), model.first_labels, strict=False
+        )
         for name, label in named:
             if label is not None:
                 table[column_of(name, settings, robot.readings)] = label
     of_labels = labels_of(c.basis for c in model.coefficients)
-    if of_labels and column_of(STATION, settings, robot.readings) not in table:
-        table[column_of(STATION, settings, robot.readings)] = label_in(of_labels[0])
+    if of_labels and column_of(LABEL_COLUMN, settings, robot.readings) not in table:
+        table[column_of(LABEL_COLUMN, settings, robot.readings)] = label_in(of_labels[0])
     return table
 
 

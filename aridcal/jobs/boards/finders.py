@@ -24,7 +24,7 @@ from aridcal.jobs.boards.patterns import (
     modules,
     tag_names,
 )
-from aridcal.jobs.boards.profiles import LEAST_CONTRAST, blurs, profiles, refined_quad, side_lines
+from aridcal.jobs.boards.profiles import LEAST_EDGE_CONTRAST, blurs, profiles, refined_quad, side_lines
 from aridcal.jobs.head1992.charuco import MIN_CORNERS, Board
 from aridcal.jobs.head1992.matching import NotMeasured, spans_plane
 
@@ -38,7 +38,7 @@ BLURRED_MODULE, BLURRED_TAG, BLURRED_SQUARE, BLURRED_CIRCLE = 0.25, 0.15, 0.1, 0
 SMALLEST_MODULE = 3.0
 
 # Fewest markers of a board that fix its pose.
-FEWEST_MARKERS = 2
+FEWEST_FOUND_MARKERS = 2
 
 # Fewest markers in the mirrored image alone that say the image is mirrored: less may be chance.
 FEWEST_MIRRORED = 3
@@ -164,8 +164,10 @@ def _find_charuco(image: np.ndarray, board: Board) -> ImageMarks:
             f"the markers {numbers.min()} to {numbers.max()} are none of this board's, which has 0 to {count - 1}"
         )
     side = np.median(np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2))
-    if np.sum(numbers < count) < FEWEST_MARKERS:
-        raise NotMeasured(f"only {np.sum(numbers < count)} markers of the board are seen: {FEWEST_MARKERS} are needed")
+    if np.sum(numbers < count) < FEWEST_FOUND_MARKERS:
+        raise NotMeasured(
+            f"only {np.sum(numbers < count)} markers of the board are seen: {FEWEST_FOUND_MARKERS} are needed"
+        )
     off = misplaced(numbers, quads, board)
     if off > MOST_MISPLACED:
         raise NotMeasured(
@@ -198,7 +200,7 @@ def misplaced(numbers: np.ndarray, quads: np.ndarray, board: Board) -> float:
     """
     charuco = board.opencv()
     of_board = numbers < len(charuco.getIds())
-    if of_board.sum() < FEWEST_MARKERS:
+    if of_board.sum() < FEWEST_FOUND_MARKERS:
         return np.inf
     corners = np.asarray(charuco.getObjPoints(), dtype=float)[numbers[of_board], :, :2] / board.square
     # From pixels to squares, so that a fit that maps all to one place is a bad one.
@@ -344,7 +346,7 @@ def _centre_of_light(
     if rim.sum() < 8 or not inside.any():
         raise NotMeasured("the circles are too small")
     paper, ink = np.median(grey[rim]), np.median(grey[inside])
-    if paper - ink < LEAST_CONTRAST:
+    if paper - ink < LEAST_EDGE_CONTRAST:
         raise NotMeasured("the circles are too faint: light the board better")
     share = np.clip((paper - grey) / (paper - ink), 0, 1)
     weight = np.where(near & (share > DARK_ENOUGH), share, 0.0)

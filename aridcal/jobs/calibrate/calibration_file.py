@@ -18,7 +18,7 @@ from aridcal.engine.corrections.labels import is_label
 from aridcal.engine.trust.rival_predictions import Rival
 from aridcal.engine.trust.workspace import OpenCombination
 from aridcal.files.query import FramesBy
-from aridcal.files.yaml_file import LARGEST, Number, Section, Settings, Vector3, decode, parse_yaml, validated
+from aridcal.files.yaml_file import LARGEST_SETTING, Number, Section, Settings, Vector3, decode, parse_yaml, validated
 from aridcal.system.errors import CampaignError, has_controls
 from aridcal.system.reading.regular_files import CALIBRATION, read_file
 
@@ -195,8 +195,8 @@ class SolvedPart(Section):
 class NoisePart(Section):
     """Noise per axis, [m] and [rad]."""
 
-    position: Annotated[float, Field(ge=0, le=LARGEST)]
-    rotation: Annotated[float, Field(ge=0, le=LARGEST)]
+    position: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
+    rotation: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
 
 
 class LargestPart(Section):
@@ -263,14 +263,14 @@ SUM_SLACK = 1e-9
 class TailsPart(Section):
     """Student's t: its degrees of freedom, and its scale per axis."""
 
-    freedom: Annotated[float, Field(gt=0, le=LARGEST)]
-    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+    freedom: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
+    sigma: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
 
 
 class ScatterPart(Section):
     """Scatter of the fitted rows about the model: sigma per axis, and the degrees of freedom behind it."""
 
-    sigma: Annotated[float, Field(gt=0, le=LARGEST)]
+    sigma: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
     freedom: Annotated[float, Field(gt=0, allow_inf_nan=True)]
     tails: TailsPart | None = None
 
@@ -279,9 +279,9 @@ class WanderPart(Section):
     """A process that the zeros of joints may follow from place to place."""
 
     over: Literal["own", "all"]
-    length: Annotated[float, Field(gt=0, le=LARGEST)]
-    turning: Annotated[float, Field(ge=0, le=LARGEST)]
-    sliding: Annotated[float, Field(ge=0, le=LARGEST)]
+    length: Annotated[float, Field(gt=0, le=LARGEST_SETTING)]
+    turning: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
+    sliding: Annotated[float, Field(ge=0, le=LARGEST_SETTING)]
     probability: Annotated[float, Field(gt=0, le=1.0 + SUM_SLACK)]
 
 

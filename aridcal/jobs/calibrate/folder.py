@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from aridcal import __version__
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import ANGULAR, FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.fit.constants import is_zero
 from aridcal.engine.fit.least_squares import Fit
@@ -37,10 +37,10 @@ from aridcal.system.writing.table_writer import csv_lines
 if TYPE_CHECKING:
     import pandas as pd
 
-ROWS_AT_ONCE = 20_000
+WRITTEN_AT_ONCE = 20_000
 """Rows that are written between two reports of progress: half a second."""
 
-DIGITS = 9
+RESIDUAL_DIGITS = 9
 """Digits of numbers in residuals.csv: a nanometre of a metre."""
 
 FRAME_NAMES = ("world_base", "tip_target")
@@ -64,9 +64,9 @@ def write_results(outcome: Outcome, folder: Path, progress: Progress = SILENT) -
     with (folder / "residuals.csv").open("w", encoding="utf-8", newline="") as file:
         file.write(",".join(residual_columns_of(outcome, order[:0])) + "\n")
         for first in progress.through(
-            range(0, len(order), ROWS_AT_ONCE), len(order), "rows of residuals.csv", ROWS_AT_ONCE
+            range(0, len(order), WRITTEN_AT_ONCE), len(order), "rows of residuals.csv", WRITTEN_AT_ONCE
         ):
-            file.write(csv_lines(residual_columns_of(outcome, order[first : first + ROWS_AT_ONCE]), DIGITS))
+            file.write(csv_lines(residual_columns_of(outcome, order[first : first + WRITTEN_AT_ONCE]), RESIDUAL_DIGITS))
     if outcome.head is not None:
         import pandas as pd  # slow to load, and other campaigns have no images
 
@@ -280,7 +280,7 @@ def _effect(named: NamedEffect, outcome: Outcome) -> dict[str, Any]:
             k = index[c.name]
             identified[c.name] = _unit(fit, c, turning[c.component]), float(fit.theta[k]), float(fit.std[k])
     document |= {
-        "covariates": [name for name in KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
+        "covariates": [name for name in EFFECT_KINDS[effect.kind].shown or effect.covariates if name != ROW_ORDER],
         "coefficients": [
             dict(zip(("name", "unit", "value", "std"), (c.name, *identified[c.name]), strict=True))
             for c in effect.coefficients

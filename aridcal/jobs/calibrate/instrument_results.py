@@ -18,8 +18,8 @@ from aridcal.engine.fit.elimination import Elimination, Groups
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.residual import linearise
-from aridcal.engine.instruments.kinds import KINDS
-from aridcal.engine.instruments.pixels import PLACE, R9, T
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
+from aridcal.engine.instruments.pixels import PLACE_COMPONENTS, R9, T
 from aridcal.engine.instruments.pose import TRACKER
 from aridcal.engine.instruments.setup import Things
 from aridcal.engine.model.predictions import Observations
@@ -91,7 +91,7 @@ def references(measured: Observations, role: str) -> tuple[np.ndarray, np.ndarra
     """Rows that refer to things of a role, and the number of the thing, shape (n,) each."""
     rows, thing = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for b, block in enumerate(measured.blocks):
-        names = [each.name for each in KINDS[block.kind].roles]
+        names = [each.name for each in MEASUREMENT_KINDS[block.kind].roles]
         if role in names:
             of_block = np.flatnonzero(measured.block == b)
             rows.append(of_block)
@@ -209,7 +209,7 @@ def _values(things: Things, name: str, state: np.ndarray, result: _ThingResult, 
         tilts: Status = next((s for s in ("redundant", "identified") if s in status[:2]), "fixed")
         status = (tilts, tilts, tilts, status[2])
         partners = (partners[0], partners[0], partners[0], partners[2])
-    elif components[:6] == PLACE:
+    elif components[:6] == PLACE_COMPONENTS:
         rpy = pin.rpy.matrixToRpy(final[R9].reshape(3, 3)) if np.isfinite(final[R9]).all() else np.full(3, np.nan)
         values = np.concatenate([final[T], rpy, final[R9.stop : R9.stop + len(components) - 6]])
     return [

@@ -9,7 +9,7 @@ import numpy as np
 
 from aridcal.engine.instruments.channels import Channels, norms, spread
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.search.noise_tests import SURE
+from aridcal.engine.search.noise_tests import FALSE_ALARM
 from aridcal.engine.search.residual_trends import Order, Trace
 from aridcal.engine.trust.gains import NamedEffect
 from aridcal.engine.trust.halves import Halves
@@ -43,7 +43,7 @@ PLUS = "+\u00a0"
 FULL_TURN = 2 * np.pi
 """The error curve of a revolute joint repeats after it [rad]."""
 
-FRAMES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
+FRAME_PREFIXES = ("world_base.", "world_base[", "tip_target.", "tip_target[")
 """How the names of the frames' own coefficients begin."""
 
 
@@ -257,7 +257,7 @@ def removed_shares(outcome: Outcome) -> list[tuple[ModelStep, float]]:
 
 def is_of_frame(name: str) -> bool:
     """True if a coefficient belongs to the frame of the base or of the target."""
-    return name.startswith(FRAMES)
+    return name.startswith(FRAME_PREFIXES)
 
 
 def constants(outcome: Outcome) -> list[dict[str, Any]]:
@@ -350,7 +350,7 @@ def stray_autocorrelations(order: Order) -> int:
 
 def slowly_changing(order: Order) -> bool:
     """Whether consecutive rows have similar residuals: too few changes of sign, or too many correlations off the band."""
-    return order.p_value < SURE or stray_autocorrelations(order) / len(order.lags) > STRAY_SHARE
+    return order.p_value < FALSE_ALARM or stray_autocorrelations(order) / len(order.lags) > STRAY_SHARE
 
 
 def clear_traces(outcome: Outcome) -> list[Trace]:
@@ -360,4 +360,4 @@ def clear_traces(outcome: Outcome) -> list[Trace]:
 
 def significant(trace: Trace, questions: int) -> bool:
     """Whether a dependence is more than chance gives among so many."""
-    return trace.after.p_value * questions <= SURE
+    return trace.after.p_value * questions <= FALSE_ALARM

@@ -21,22 +21,28 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_back_groups
-from aridcal.engine.search.declared_effects import CONFOUNDED, NO_BETTER
-from aridcal.engine.search.diagnose import SEARCHED, SearchResult
+from aridcal.engine.search.declared_effects import CONFOUNDED_SENTENCE, NOT_BETTER_HELD_BACK
+from aridcal.engine.search.diagnose import MOST_SEARCHED_ROWS, SearchResult
 from aridcal.engine.search.loop import (
-    LEAST_FREEDOM,
+    LEAST_NUMBERS_LEFT,
     CalibratedArm,
     calibrated_arm,
     fit_constants,
     is_short,
     structured_notices,
 )
-from aridcal.engine.search.noise_tests import ASKED, STRETCHES, Clue, clues, stretches
+from aridcal.engine.search.noise_tests import MOST_TESTED_ROWS, TESTED_STRETCHES, Clue, clues, stretches
 from aridcal.engine.search.residual_trends import trace
 from aridcal.engine.trust.certainty import certainty
 from aridcal.engine.trust.gains import explain
 from aridcal.engine.trust.second_look import second_look
-from aridcal.engine.trust.uncertainty import FAR, outliers, precision, realigned, with_contradicted_noise
+from aridcal.engine.trust.uncertainty import (
+    GROSS_OUTLIER_SCALES,
+    outliers,
+    precision,
+    realigned,
+    with_contradicted_noise,
+)
 from aridcal.files.campaign import Campaign
 from aridcal.files.quantities import computed
 from aridcal.files.read import load_measurements
@@ -218,7 +224,11 @@ def _outcome(
             *_shared(rows, final),
             *structured_notices(arm.causes),
             *_derived_notices(rows, diagnosed),
-            *(f"{b.what} is left out: {b.why}" for b in diagnosed.barred if b.why in (CONFOUNDED, NO_BETTER)),
+            *(
+                f"{b.what} is left out: {b.why}"
+                for b in diagnosed.barred
+                if b.why in (CONFOUNDED_SENTENCE, NOT_BETTER_HELD_BACK)
+            ),
             *_searched(train, len(inliers), campaign, arm.geometry.geometric),
             *declared_notices(rows, final.estimated, final.freedom),
             *unused_links(robot, campaign.parameters.set),
@@ -246,15 +256,17 @@ def _searched(train: Dataset, inliers: int, campaign: Campaign, geometric: Fit) 
     """Sentences on questions put to a part of many rows only, and on a search for which there are too few rows."""
     sought = campaign.diagnosis.enabled and bool(campaign.diagnosis.candidates)
     if sought and is_short(geometric):
-        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_FREEDOM)
-    elif sought and len(train) > SEARCHED:
-        factor = np.sqrt(len(train) / SEARCHED)
+        yield NOT_SOUGHT.format(100.0 * _freedom(geometric), 100.0 * LEAST_NUMBERS_LEFT)
+    elif sought and len(train) > MOST_SEARCHED_ROWS:
+        factor = np.sqrt(len(train) / MOST_SEARCHED_ROWS)
         yield (
-            f"effects were sought in {SEARCHED:,} of the {len(train):,} fitted rows, and then fitted to all: to be seen, one "
+            f"effects were sought in {MOST_SEARCHED_ROWS:,} of the {len(train):,} fitted rows, and then fitted to all: to be "
+            f"seen, one "
             f"must be {factor:.1f} times as large as in a search of all rows"
         )
-    if inliers > ASKED:
-        yield f"whether what remains is noise was asked of {ASKED:,} of {inliers:,} rows, in {STRETCHES} stretches on end"
+    if inliers > MOST_TESTED_ROWS:
+        tested_rows = f"{MOST_TESTED_ROWS:,} of {inliers:,} rows, in {TESTED_STRETCHES} stretches on end"
+        yield f"whether what remains is noise was asked of {tested_rows}"
 
 
 def refit_with_final_instruments(stages: tuple[Stage, ...], train: Dataset) -> tuple[Stage, ...]:
@@ -330,7 +342,7 @@ def _size(campaign: Campaign, robot: Robot, rows: Dataset) -> Size:
         coefficients=len(constants_of_question(question, robot, rows)),
         stations=len(station_labels(question, rows)),
         rows=len(rows),
-        searched=min(int(rows.train.sum()), SEARCHED) if question.sought else 0,
+        searched=min(int(rows.train.sum()), MOST_SEARCHED_ROWS) if question.sought else 0,
         numbers=sum(channel.size for channel in rows.channels),
         joints=len(robot.joints),
     )
@@ -429,7 +441,9 @@ def _numbers(rows: Dataset, width: int) -> np.ndarray:
 def _scored(outcome: Outcome, rows: Dataset, copied: int) -> Verification:
     stage_problems = {stage.name: (problem(stage.fit.model, rows), stage.fit) for stage in outcome.stages}
     after_realigning = realigned(stage_problems["final"][1], stage_problems["final"][0])
-    outlier = distance(after_realigning, robust_sigma(after_realigning, rows.channels), rows.channels) > FAR
+    outlier = (
+        distance(after_realigning, robust_sigma(after_realigning, rows.channels), rows.channels) > GROSS_OUTLIER_SCALES
+    )
     residuals = {
         name: fit_problem.residual(stage_fit.theta) for name, (fit_problem, stage_fit) in stage_problems.items()
     }

@@ -17,7 +17,7 @@ from aridcal import __version__
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.loads import Payload, Surroundings
 from aridcal.engine.corrections.sights import TARGET, Sights
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.inverse.one_pose import Command, InverseKinematics
 from aridcal.engine.inverse.row_kinematics import OneRowModel
 from aridcal.engine.model.many_rows import short_stretches
@@ -184,7 +184,7 @@ class SavedModel:
         labels = {
             block.columns.get(role.name, role.name)
             for block in (self.campaign.blocks if self.campaign else ())
-            if block.kind in KINDS
+            if block.kind in MEASUREMENT_KINDS
             for role in labelled(block.kind)
         }
         if labels:  # the measured table itself may be predicted: its labels of instruments are no labels of targets
@@ -392,7 +392,7 @@ class SavedModel:
     @property
     def turns(self) -> bool:
         """True if the target's rotation was measured, not its position alone."""
-        return KINDS[self.kind].turns
+        return MEASUREMENT_KINDS[self.kind].turns
 
     def inverse_kinematics(self, station: str | None = None, target: str | None = None) -> InverseKinematics:
         """The solver that brings a target at a station to wanted poses; made once for each."""

@@ -18,7 +18,7 @@ from aridcal.engine.fit.noise import noise_ratio
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.fit.tails import Tails, tails_of
 from aridcal.engine.instruments.channels import columns, norms, spread
-from aridcal.engine.instruments.kinds import KINDS as INSTRUMENTS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS as INSTRUMENTS
 from aridcal.engine.instruments.setup import TIP, Instruments
 from aridcal.engine.model.model import ONE_FRAME, Model
 from aridcal.engine.rows.dataset import Dataset

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import Effect
-from aridcal.engine.fit.flags import MEASURED, Cluster, cluster
+from aridcal.engine.fit.flags import MEASURED_COORDINATE, Cluster, cluster
 from aridcal.engine.fit.least_squares import Fit
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
@@ -18,7 +18,7 @@ from aridcal.engine.levels import FEWEST_TOGETHER, SEVERAL
 from aridcal.engine.numerics import FLOOR
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.engine.rows.split import held_back_groups
-from aridcal.engine.search.loop import LEAST_FREEDOM
+from aridcal.engine.search.loop import LEAST_NUMBERS_LEFT
 from aridcal.engine.search.noise_tests import Clue
 
 MANY_FLAGGED = 0.03
@@ -105,12 +105,12 @@ def decide(
     telling = [c for c in clues if c.tells]
     share = max((c.share for c in telling), default=0.0)
     reasons = [*([setting] if setting else []), *(c.what for c in telling)]
-    unnamed = [e for e in effects if not KINDS[e.kind].named]
+    unnamed = [e for e in effects if not EFFECT_KINDS[e.kind].named]
     if unnamed:
         # Between and beyond the rows a smooth curve without a cause is not known.
         of = ", ".join(dict.fromkeys(f"{e.where} by {e.by or ' and '.join(e.covariates)}" for e in unnamed))
         reasons.append(f"a repeatable error has no known cause ({of})")
-    if freedom <= LEAST_FREEDOM:
+    if freedom <= LEAST_NUMBERS_LEFT:
         few = f"only {100 * max(freedom, 0.0):.0f} % of the measured numbers are left to judge the model by"
         return Verdict("not_enough_data", share, (few, *reasons))
     if reasons:
@@ -236,7 +236,7 @@ def _squares(residual: np.ndarray, outlier: np.ndarray) -> np.ndarray:
 
 def cluster_in_words(group: Cluster) -> str:
     """The place of a cluster in words: ``joint_2 between 0.31 and 0.52``."""
-    if group.coordinate == MEASURED:
+    if group.coordinate == MEASURED_COORDINATE:
         return "where the same is measured"
     if group.coordinate == "row":
         return f"rows {group.low + 1:.0f} to {group.high + 1:.0f} of those used"

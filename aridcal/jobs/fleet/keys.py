@@ -16,7 +16,7 @@ from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots
 from aridcal.system.errors import AridcalError
 
-ABSENT = b"absent"
+ABSENT_FILE = b"absent"
 """Stands for the contents of a file that is not there: once it is, the key is another."""
 
 
@@ -101,11 +101,11 @@ def _of_text(text: str) -> bytes:
 
 
 def _of_file(path: Path) -> bytes:
-    """Hash of a file's contents; that of :data:`ABSENT` where it cannot be read or is no file."""
+    """Hash of a file's contents; that of :data:`ABSENT_FILE` where it cannot be read or is no file."""
     try:
         if not path.is_file():  # of a pipe or a device nothing would ever come
-            return hashlib.sha256(ABSENT).digest()
+            return hashlib.sha256(ABSENT_FILE).digest()
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").digest()
     except (OSError, ValueError):
-        return hashlib.sha256(ABSENT).digest()
+        return hashlib.sha256(ABSENT_FILE).digest()

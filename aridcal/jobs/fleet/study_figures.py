@@ -10,16 +10,16 @@ import numpy as np
 from scipy.special import ndtri
 from scipy.stats import binom
 
-from aridcal.engine.corrections.effect import FRAMES
+from aridcal.engine.corrections.effect import MOUNTING_FRAMES
 from aridcal.jobs.fleet.run_record import DONE, Row
 
-CONFIDENCE = 0.95
+INTERVAL_CONFIDENCE = 0.95
 """Of all intervals of a study."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A figure and its interval of :data:`CONFIDENCE`."""
+    """A figure and its interval of :data:`INTERVAL_CONFIDENCE`."""
 
     value: float
     low: float
@@ -83,7 +83,7 @@ def share(times: int, of: int) -> Estimate:
         times: How often.
         of: Of how many, not 0.
     """
-    z = float(ndtri(0.5 + 0.5 * CONFIDENCE))
+    z = float(ndtri(0.5 + 0.5 * INTERVAL_CONFIDENCE))
     p, shrink = times / of, 1.0 + z**2 / of
     middle = (p + z**2 / (2 * of)) / shrink
     half = z / shrink * math.sqrt(p * (1 - p) / of + z**2 / (4 * of**2))
@@ -97,7 +97,7 @@ def median(values: Sequence[float]) -> Estimate:
     """
     ordered = np.sort(values)
     n = len(ordered)
-    below = max(int(binom.ppf(0.5 - 0.5 * CONFIDENCE, n, 0.5)) - 1, 0)
+    below = max(int(binom.ppf(0.5 - 0.5 * INTERVAL_CONFIDENCE, n, 0.5)) - 1, 0)
     return Estimate(float(np.median(ordered)), float(ordered[below]), float(ordered[n - 1 - below]))
 
 
@@ -151,7 +151,9 @@ def scatters(rows: Sequence[Row]) -> list[ConstantScatter]:
     values: dict[str, list[Row]] = {}
     for row in rows:
         for constant in row["constants"] or () if row["status"] == DONE else ():
-            if constant["name"].startswith(FRAMES):  # stated as twists in their own axes, which xyz and rpy are not
+            if constant["name"].startswith(
+                MOUNTING_FRAMES
+            ):  # stated as twists in their own axes, which xyz and rpy are not
                 continue
             values.setdefault(constant["name"], []).append(constant)
     found = [_scatter(name, own) for name, own in values.items() if len(own) > 1]
@@ -161,7 +163,7 @@ def scatters(rows: Sequence[Row]) -> list[ConstantScatter]:
 def _scatter(name: str, own: Sequence[Row]) -> ConstantScatter:
     freedom = len(own) - 1
     spread = float(np.std([c["value"] for c in own], ddof=1))
-    z, v = float(ndtri(0.5 + 0.5 * CONFIDENCE)), 2.0 / (9.0 * freedom)
+    z, v = float(ndtri(0.5 + 0.5 * INTERVAL_CONFIDENCE)), 2.0 / (9.0 * freedom)
     low, high = (spread / max(1.0 - v + s * z * math.sqrt(v), 1e-3) ** 1.5 for s in (1.0, -1.0))
     std = float(np.sqrt(np.mean([c["std"] ** 2 for c in own])))
     return ConstantScatter(name, own[0]["unit"], len(own), spread, low, high, std)

@@ -18,11 +18,11 @@ from aridcal.system.errors import OutputError
 from aridcal.system.progress import Progress
 from aridcal.system.writing.whole_files import atomic_file
 
-NAME = "study.parquet"
+STUDY_TABLE = "study.parquet"
 
 _CONSTANT = pa.struct([("name", pa.string()), ("value", pa.float64()), ("std", pa.float64()), ("unit", pa.string())])
 
-SCHEMA = pa.schema(
+STUDY_SCHEMA = pa.schema(
     [("key", pa.string()), ("rows", pa.int64()), ("size", pa.float64()), ("run", pa.int64()), ("seed", pa.int64())]
     + [("status", pa.string()), ("error", pa.string()), ("channel", pa.string())]
     + [(name, pa.float64()) for name in ("nominal", "geometric", "final", "true_rms_mm")]
@@ -54,11 +54,11 @@ def earlier_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
     Raises:
         OutputError: what stands in the table's place is none.
     """
-    path = folder / NAME
+    path = folder / STUDY_TABLE
     if not path.exists():
         return {}
     try:
-        rows = pa.parquet.read_table(path).select(SCHEMA.names).cast(SCHEMA).to_pylist()
+        rows = pa.parquet.read_table(path).select(STUDY_SCHEMA.names).cast(STUDY_SCHEMA).to_pylist()
     except (OSError, ValueError, KeyError, pa.ArrowException) as problem:
         why = str(problem).splitlines()[0]
         raise OutputError(f"{path}: is no table of a study ({why}); move it away, or choose another folder") from None
@@ -68,8 +68,8 @@ def earlier_runs(folder: Path, trials: Mapping[str, Trial]) -> dict[str, Row]:
 def write_runs(rows: Mapping[str, Row], trials: Mapping[str, Trial], folder: Path) -> tuple[Row, ...]:
     """Write the table in one step; returns its rows, in the order of the trials."""
     ordered = tuple(rows[key] for key in trials if key in rows)
-    table = pa.Table.from_pylist([dict.fromkeys(SCHEMA.names) | row for row in ordered], SCHEMA)
-    with atomic_file(folder / NAME) as path:
+    table = pa.Table.from_pylist([dict.fromkeys(STUDY_SCHEMA.names) | row for row in ordered], STUDY_SCHEMA)
+    with atomic_file(folder / STUDY_TABLE) as path:
         pa.parquet.write_table(table, path, compression="snappy")
     return ordered
 

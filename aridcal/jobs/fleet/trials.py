@@ -14,7 +14,7 @@ import numpy as np
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign, JobSettings
 from aridcal.files.purposes import StudySettings
-from aridcal.files.quantities import POSITION, column_of
+from aridcal.files.quantities import POSITION_COLUMNS, column_of
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.calibrate.folder import parameters
 from aridcal.jobs.calibrate.key_figures import scored
@@ -243,7 +243,7 @@ def _true_error(scenario: Scenario, truth: Truth, outcome: Outcome) -> float | N
 
 def _positions(simulation: Simulation, scenario: Scenario) -> np.ndarray:
     """Positions in a simulated table, shape (N, 3), [m]."""
-    names = [column_of(name, scenario.measurements, simulation.robot.readings) for name in POSITION]
+    names = [column_of(name, scenario.measurements, simulation.robot.readings) for name in POSITION_COLUMNS]
     return simulation.measurements[names].to_numpy(dtype=float)
 
 

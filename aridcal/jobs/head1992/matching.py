@@ -19,12 +19,12 @@ import numpy as np
 from aridcal.jobs.head1992.blobs import Blobs
 from aridcal.jobs.head1992.square import (
     CENTRE_FIDUCIAL,
-    CENTRES,
     CORNER_MARKER,
+    FIDUCIAL_CENTRES,
     INCH,
     N_FIDUCIALS,
     ONE_SQUARE,
-    SIDE,
+    SQUARE_SIDE,
     FiducialLayout,
 )
 from aridcal.system.errors import AridcalError
@@ -61,7 +61,7 @@ MAX_SLANT = 0.35
 LEAST_WIDTH = 0.3 * INCH
 
 # Of p1 to p6 on the square, shape (6,).
-_CENTRES = CENTRES @ [1, 1j]
+_CENTRES = FIDUCIAL_CENTRES @ [1, 1j]
 
 # Tells from places on the plane where small fiducials are seen, (K,), at which others, (M,), there plainly is none.
 Blank = Callable[[np.ndarray, np.ndarray, complex], np.ndarray]
@@ -145,7 +145,7 @@ def _contradictions(m: Match, blobs: Blobs, layout: FiducialLayout, blank: Blank
     small = blobs.places[matched_blobs][~layout.is_centre[fiducials]]
     blank_places = blank(small, expected, m.turn)
     spare = (np.delete(blobs.places, matched_blobs) - m.shift) / m.turn
-    on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SIDE / 2
+    on_square = np.maximum(np.abs(spare.real), np.abs(spare.imag)) < SQUARE_SIDE / 2
     return int(blank_places.sum() + SPARE_MARK * on_square.sum())
 
 
@@ -169,7 +169,7 @@ def _from_centres(blobs: Blobs) -> list[tuple[complex, complex]]:
             pairs = _pairs(turn, shift, ONE_SQUARE, blobs, NEAR)
             if len(pairs) > 1:  # the turn is to be exact enough for the squares beside
                 turn, shift = _rigid(_CENTRES[pairs[:, 0]], blobs.places[pairs[:, 1]])
-            beside = SIDE * 1j * turn
+            beside = SQUARE_SIDE * 1j * turn
             proposals += [(turn, shift), (turn, shift + beside), (turn, shift - beside)]
     return proposals
 
@@ -244,7 +244,7 @@ def _nearest_the_axis(turn: complex, shift: complex, middles: np.ndarray, lead: 
         lead: May be negative.
     """
     axis = -shift / turn  # where the optical axis meets the square
-    beside = 1j * np.copysign(SIDE, axis.imag)  # a square that need not be listed
+    beside = 1j * np.copysign(SQUARE_SIDE, axis.imag)  # a square that need not be listed
     others = np.append(middles[1:], beside)
     return not np.any(np.abs(axis - others) < np.abs(axis) + lead)
 

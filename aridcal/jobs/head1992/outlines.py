@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from aridcal.engine.instruments.camera import predict_pixels
-from aridcal.jobs.head1992.square import CENTRES, SIDE, FiducialLayout
+from aridcal.jobs.head1992.square import FIDUCIAL_CENTRES, SQUARE_SIDE, FiducialLayout
 
 # Shapes are predicted from places up to so many half sizes from a fiducial's centre: its outline lies well inside.
 GRID_REACH = 1.2
@@ -112,9 +112,9 @@ def _paper_edges(layout: FiducialLayout) -> np.ndarray:
 
     Inf along an axis on which the fiducial sits in the paper's middle half: its edge is too far away to matter.
     """
-    place = CENTRES[layout.fiducial - 1]
-    edge = np.sign(place) * SIDE / 2
-    beside = np.abs(place) > SIDE / 4
+    place = FIDUCIAL_CENTRES[layout.fiducial - 1]
+    edge = np.sign(place) * SQUARE_SIDE / 2
+    beside = np.abs(place) > SQUARE_SIDE / 4
     return np.where(beside, (edge - place) / layout.sizes, np.inf)
 
 

@@ -19,13 +19,13 @@ import numpy as np
 
 from aridcal.engine.instruments.camera import predict_ranges, project
 from aridcal.engine.instruments.camera_sonar import Head
-from aridcal.jobs.head1992.square import SIDE, fiducial_corners, index_corners, paper_corners
+from aridcal.jobs.head1992.square import SQUARE_SIDE, fiducial_corners, index_corners, paper_corners
 
 # Of the JPEG files: its errors stay below the camera's noise.
 JPEG_QUALITY = 90
 
 # [m] Squares whose centres are this near the one looked at may be in view.
-NEIGHBOUR_DISTANCE = 4 * SIDE
+NEIGHBOUR_DISTANCE = 4 * SQUARE_SIDE
 
 # [m] from the lens to a square that can be in focus.
 LEAST_DISTANCE = 0.05
@@ -34,7 +34,7 @@ LEAST_DISTANCE = 0.05
 VIEW_MARGIN = 3.0
 
 # [m] by which a square must be nearer the optical axis than the others: the detector is to have no doubt.
-OWN_SQUARE_LEAD = SIDE / 10
+OWN_SQUARE_LEAD = SQUARE_SIDE / 10
 
 # Of a shot: largest change of the light, a share; blur from and to, [px]; noise, [grey levels].
 LIGHT, BLUR, NOISE = 0.15, (0.5, 0.9), 1.5

@@ -22,7 +22,7 @@ from aridcal.engine.instruments.camera import square_motion
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, load_robot
 from aridcal.files.tables import Table
-from aridcal.files.yaml_file import LARGEST, load_settings
+from aridcal.files.yaml_file import LARGEST_SETTING, load_settings
 from aridcal.jobs.head1992.charuco import Board, find_charuco
 from aridcal.jobs.head1992.fiducials import Fiducials, find_fiducials
 from aridcal.jobs.head1992.head_settings import HeadSettings, load_shots, load_squares, range_columns
@@ -151,7 +151,9 @@ def _given_squares(table: Table) -> list[int | str | None]:
     """Read the column ``square``: whole numbers as such, anything else as its text."""
     numbers, _ = table.numbers("square")
     texts = table.texts("square")
-    return [int(n) if abs(n) < LARGEST and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)]
+    return [
+        int(n) if abs(n) < LARGEST_SETTING and n == np.rint(n) else str(t) for n, t in zip(numbers, texts, strict=True)
+    ]
 
 
 def _nominal_cameras(robot: Robot, table: Table, head: HeadSettings) -> Iterator[np.ndarray]:

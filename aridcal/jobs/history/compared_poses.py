@@ -22,13 +22,13 @@ from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.maintain.hypotheses import widened
 from aridcal.system.errors import AridcalError, name_list
 
-CONFIGURATIONS = 256
+DRAWN_CONFIGURATIONS = 256
 """Drawn over the joints' common ranges, a power of two for Sobol's sequence: four times the numbers of the largest models."""
 
 ALIGNMENT_STEPS = 8
 """Small steps that take off the motions of base and target; four are usual."""
 
-LAST_STEP = 1e-13
+ROUNDING_STEP = 1e-13
 """[m] and [rad]: a step below this is rounding."""
 
 OVER_TIME = ("time", ROW_ORDER)
@@ -129,7 +129,7 @@ def _draw_configurations(a: SavedModel, b: SavedModel, notices: list[str]) -> tu
     robot = a.final.model.robot
     covariates = sorted({*a.expected.model.needs, *b.expected.model.needs} - set(OVER_TIME))
     columns = [*robot.readings, *covariates]
-    unit = qmc.Sobol(len(columns), seed=0).random(CONFIGURATIONS)
+    unit = qmc.Sobol(len(columns), seed=0).random(DRAWN_CONFIGURATIONS)
     samples = {}
     for share, name in zip(unit.T, columns, strict=True):
         ends = [saved.seen[name] for saved in (a, b) if name in saved.seen]
@@ -181,7 +181,7 @@ def _in_one_place(
             max(float(Rotation.from_matrix(step.rotation).magnitude()) for step in steps),
         )
         fitted = any(c.where == where and c.basis.constant for model, _ in models for c in model.coefficients)
-        if fitted or max(apart) > LAST_STEP:
+        if fitted or max(apart) > ROUNDING_STEP:
             anew[where] = apart
             changes[where] = tuple((label, of_targets.get(label, frames_a[0][1])) for label, _ in frames_b)
     second_moved = replace(second, **changes)
@@ -254,6 +254,6 @@ def _difference_of_poses(
         step = np.linalg.lstsq(flat, -d.ravel(), rcond=None)[0]
         base += step[:6] if "world_base" in anew else 0.0
         tool += step[-tool.size :].reshape(-1, 6) if "tip_target" in anew else 0.0
-        if np.abs(step).max() < LAST_STEP:
+        if np.abs(step).max() < ROUNDING_STEP:
             break
     return np.asarray(d)

@@ -22,7 +22,7 @@ LARGE_CHANGE = 3e-3
 LARGE_CHANGE_ROUNDS = 6
 """Most times that a large change is taken off and looked for again; three are usual."""
 
-LAST_STEP = 1e-7
+LAST_CHANGE_STEP = 1e-7
 """[m] and [rad]: a large change that moves by less is found."""
 
 WORST_ROWS = 8
@@ -75,7 +75,9 @@ def compare(a: SavedModel, b: SavedModel) -> Comparison:
         large = [c for c in causes_found.found[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
         again = [c for c in causes_found.found if changes_taken and set(c.names) <= set(changes_taken)]
         step = {name: float(value) for c in (*large, *again) for name, value in zip(c.names, c.value, strict=True)}
-        if not step or all(abs(value - changes_taken.get(name, 0.0)) < LAST_STEP for name, value in step.items()):
+        if not step or all(
+            abs(value - changes_taken.get(name, 0.0)) < LAST_CHANGE_STEP for name, value in step.items()
+        ):
             break
         changes_taken = step
         with_changes = difference(a, b, changes_taken)

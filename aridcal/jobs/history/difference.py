@@ -46,7 +46,7 @@ from scipy.stats import f as fisher
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.fit.normal_equations import across, pseudo_inverse
 from aridcal.engine.robot.chain import Robot
-from aridcal.engine.trust.workspace import LOOSE
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
 from aridcal.jobs.history.compared_poses import OVER_TIME, common_poses
 from aridcal.jobs.maintain.bounds import FALSE_ALARMS
@@ -311,18 +311,18 @@ def _unknown_to(
     second_order = residual[:, same_motion] * value[same_motion]
     effects, unknown = (
         residual[:, ~constant_only],
-        residual[:, constant_only & ~same_motion & (LOOSE * size > LEAST_DIFFERENCE)],
+        residual[:, constant_only & ~same_motion & (UNTOLD_SIGMA * size > LEAST_DIFFERENCE)],
     )
     noise = np.maximum(np.repeat([saved.scatter[0][k] for k in range(len(sigma) // 3)], 3), LEAST_DIFFERENCE)
     places = len(moves) // len(sigma)
     rows = float(saved.record.get("data", {}).get("train", 0.0)) / places
     own_noise = np.tile(sigma / noise, places)[:, None]
-    times = 1.0 + float(np.sum(np.mean((LOOSE * unknown * own_noise) ** 2, axis=0)))
+    times = 1.0 + float(np.sum(np.mean((UNTOLD_SIGMA * unknown * own_noise) ** 2, axis=0)))
     if not effects.shape[1]:
         return second_order, unknown, times
     seen = effects * own_noise
     prior = (
-        np.maximum(size[~constant_only] / LOOSE, np.finfo(float).tiny) ** 2
+        np.maximum(size[~constant_only] / UNTOLD_SIGMA, np.finfo(float).tiny) ** 2
     )  # alone, none moves the target by more than LOOSE
     inverse, _ = pseudo_inverse(rows * seen.T @ seen + np.diag(prior), ROUNDING_SHARE**2)
     return np.hstack([second_order, effects @ _root(inverse)]), unknown, times

@@ -19,7 +19,7 @@ LARGEST_ZERO_CHANGE = 0.03
 """[rad] or [m] of a joint's zero beyond which what depends on its reading is no longer what was calibrated: gravity's lever is
 then off by up to a thirtieth."""
 
-MILLI = 1e3
+MILLI_PER_UNIT = 1e3
 """[mm] in a metre, [mrad] in a radian."""
 
 
@@ -82,7 +82,8 @@ def _heat_line(checked: CheckResult) -> list[str]:
     of_rows = low if low == high else f"{low} to {high}"
     return [
         f"{heat.column} {of_rows}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K "
-        f"more or less move the target by some {MILLI * heat.growth:.2g} mm, and shift zeros. What follows may be no more "
+        f"more or less move the target by some {MILLI_PER_UNIT * heat.growth:.2g} mm, and shift zeros. What follows may be no "
+        f"more "
         "than that: check at the calibration's own temperature before anything is mended"
     ]
 
@@ -91,8 +92,9 @@ def _error(error: Bounds) -> str:
     """The model's own error, noise taken off."""
     what = "RMS" if error.axes > 1 else "RMS along what was measured"
     return (
-        f"the model's own error there is {MILLI * error.estimate:.3f} mm {what}, between {MILLI * error.low:.3f} and "
-        f"{MILLI * error.high:.3f} mm"
+        f"the model's own error there is {MILLI_PER_UNIT * error.estimate:.3f} mm {what}, between "
+        f"{MILLI_PER_UNIT * error.low:.3f} and "
+        f"{MILLI_PER_UNIT * error.high:.3f} mm"
     )
 
 
@@ -101,7 +103,7 @@ def _verdict(checked: CheckResult) -> str:
     chance = f"{checked.first.words}; a calibration that is still right fails {100 * FALSE_ALARMS:g} % of checks"
     if checked.tolerance is None:
         return f"no longer good: {chance}" if checked.contradicted else f"still good: {chance}"
-    limit = f"{MILLI * checked.tolerance:g} mm"
+    limit = f"{MILLI_PER_UNIT * checked.tolerance:g} mm"
     if not checked.good:
         return f"no longer good: the error is above {limit} ({chance})"
     if checked.contradicted:
@@ -145,13 +147,13 @@ def amount(change: RepairChange, checked: CheckResult) -> str:
     value, std = change.value, change.std
     if change.cause.kind == "zero":
         unit = "mm" if change.units[0] == "m" else "mrad"
-        return f"{MILLI * value[0]:+.3f} ± {MILLI * std[0]:.3f} {unit}"
+        return f"{MILLI_PER_UNIT * value[0]:+.3f} ± {MILLI_PER_UNIT * std[0]:.3f} {unit}"
     if change.cause.kind in ("frame", "new"):
         parts = []
         for unit, unit_shown in (("m", "mm"), ("rad", "mrad")):
             of_unit = [u == unit for u in change.units]
             if any(of_unit):
-                size, uncertainty = (MILLI * float(np.linalg.norm(vector[of_unit])) for vector in (value, std))
+                size, uncertainty = (MILLI_PER_UNIT * float(np.linalg.norm(vector[of_unit])) for vector in (value, std))
                 parts.append(f"{size:.3f} ± {uncertainty:.3f} {unit_shown}")
         return " and ".join(parts)
     suspect = change.cause.suspect

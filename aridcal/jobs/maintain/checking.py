@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from aridcal.engine.fit.problem import problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.rows.dataset import Dataset
-from aridcal.engine.trust.coverage import ASIDE, EXPANSION, beyond_heat
+from aridcal.engine.trust.coverage import EXPANSION, RECORDED_MARGIN, beyond_heat
 from aridcal.engine.trust.wander import WanderProcesses, wandering
 from aridcal.files.campaign import Frames
 from aridcal.jobs.calibrate.saved_model import SavedModel, SolvedModel
@@ -235,7 +235,7 @@ def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
     for name, (low, high) in saved.seen.items():
         values = rows.covariates.get(name, np.zeros(0))
         beyond = float(np.nanmax(beyond_heat({name: values}, {name: (low, high)}), initial=0.0))
-        if beyond > ASIDE * (high - low):
+        if beyond > RECORDED_MARGIN * (high - low):
             ends = float(np.nanmin(values)), float(np.nanmax(values))
             outside.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
     return max(outside, key=lambda heat: heat.beyond, default=None)

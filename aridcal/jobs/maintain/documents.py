@@ -22,7 +22,7 @@ from aridcal.jobs.maintain.repaired_outcomes import RepairOutcomes
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import RESULT, read_file
 
-UNNAMED = "unknown"
+UNNAMED_KIND = "unknown"
 """Kind of an effect of which the calibration before keeps coefficients alone."""
 
 
@@ -145,7 +145,7 @@ def _effects(before: Sequence[dict[str, Any]], final: SolvedModel) -> Iterator[d
     for name, k in indices.items():
         c = final.model.coefficients[k]
         yield {
-            "kind": UNNAMED,
+            "kind": UNNAMED_KIND,
             "where": c.where,
             "motion": [c.component],
             "covariates": list(c.basis.of),

@@ -43,7 +43,7 @@ _OTHERS = len(NOISE_FACTORS) - 1
 LOG_WEIGHTS = np.log(np.r_[PRIOR_OF_KNOWN_NOISE, np.full(_OTHERS, (1.0 - PRIOR_OF_KNOWN_NOISE) / _OTHERS)])
 """Logarithms of the prior probabilities of :data:`NOISE_FACTORS`."""
 
-MOST_STEPS = 30
+MOST_MODE_STEPS = 30
 """Gauss-Newton steps at the most; a zero that is off by a radian takes seven."""
 
 GROSS_RATIO = 1e4
@@ -226,7 +226,7 @@ def likely(question: NewRowsQuestion, theta: np.ndarray | None = None) -> Poster
     which, size, tails = question.of_channels
     has_tails = bool(np.isfinite(tails).any())
     weight = np.ones(len(size))
-    for _ in range(MOST_STEPS):
+    for _ in range(MOST_MODE_STEPS):
         r, J = question.at(theta)
         root = np.sqrt(weight)[which]
         r, J = root * (r + J @ (theta - start)), root[:, None] * J

@@ -12,16 +12,16 @@ from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import labels_of
 from aridcal.engine.fit.tails import Tails
 from aridcal.engine.instruments.channels import Channels
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, Instruments
-from aridcal.engine.robot.drive import NOTHING
+from aridcal.engine.robot.drive import NO_STATEMENTS
 from aridcal.engine.rows.approach import with_directions
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import REFERRING, Campaign, Frames, RobotSettings
 from aridcal.files.counting import check_joints
 from aridcal.files.instrument_settings import InstrumentSettings
 from aridcal.files.orientations import column_of
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.files.read import ONE_TARGET, default_target, load_measurements
 from aridcal.files.tables import AnyTable, read_tables
 from aridcal.files.yaml_file import load_settings
@@ -161,7 +161,7 @@ def _other(saved: SavedModel, path: Path) -> Campaign:
             f"{path}: robot.tip: {campaign.robot.tip!r} is not the tip that was calibrated, {tip!r}; delete the key `robot`"
         )
     calibrated = saved.final.model.robot.stated
-    if campaign.robot.stated not in (NOTHING, calibrated):
+    if campaign.robot.stated not in (NO_STATEMENTS, calibrated):
         raise CampaignError(
             f"{path}: robot.joints and robot.coupled: are not those that were calibrated; delete the key `robot`"
         )
@@ -197,7 +197,7 @@ def _own(saved: SavedModel, table: AnyTable) -> Campaign:
             "`aridcal identify` again"
         )
     robot, settings = saved.final.model.robot, saved.measurements
-    position_columns = {column_of(name, settings, robot.readings) for name in POSITION}
+    position_columns = {column_of(name, settings, robot.readings) for name in POSITION_COLUMNS}
     joints = [settings.columns.get(name, name) for name in robot.readings]
     names = set(read_tables([table], None, saved.limits.table, settings.table.dialect, joints).names)
     per_target = saved.frames_by != "station"
@@ -284,7 +284,7 @@ def new_row_noise(saved: SavedModel, rows: Dataset, new_instrument: bool = False
 
 def _channels_of(kind: str) -> Channels:
     """Channels of a kind."""
-    return KINDS[kind].channels
+    return MEASUREMENT_KINDS[kind].channels
 
 
 def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tails | None]]:
@@ -292,7 +292,7 @@ def _scatter(saved: SavedModel) -> dict[tuple[str, str], tuple[float, float, Tai
     sigma, freedom = saved.scatter
     of_target = zip(("position", "rotation"), sigma, freedom, strict=True)
     records = saved.record.get("scatter", {})
-    tracked = [name for name, kind in KINDS.items() if kind.tracked]
+    tracked = [name for name, kind in MEASUREMENT_KINDS.items() if kind.tracked]
     scatter = {(kind, name): (s, f, _tails(records.get(name, {}))) for name, s, f in of_target for kind in tracked}
     for kind, channels in saved.record.get("scatter_of_kinds", {}).items():
         for name, record in channels.items():

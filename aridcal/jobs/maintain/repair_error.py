@@ -9,7 +9,7 @@ import numpy as np
 from aridcal.jobs.maintain.checking import CheckResult
 from aridcal.jobs.maintain.likelihoods import NewRowsQuestion, likely
 
-FOLDS = 20
+LEFT_OUT_PARTS = 20
 """Parts of the rows that are left out in turn: single rows up to 20 of them; more parts only take longer."""
 
 
@@ -26,7 +26,7 @@ def left_out_residuals(checked: CheckResult, theta: np.ndarray) -> np.ndarray:
     question = checked.question
     counting = np.flatnonzero(~question.dropped)
     residual = np.full((len(checked.rows), len(question.sigma)), np.nan)
-    for part in np.array_split(counting, min(FOLDS, len(counting))):
+    for part in np.array_split(counting, min(LEFT_OUT_PARTS, len(counting))):
         dropped = question.dropped.copy()
         dropped[part] = True
         others = replace(question, dropped=dropped)

@@ -15,7 +15,7 @@ from aridcal.engine.fit.constants import constants
 from aridcal.engine.fit.least_squares import Convergence, Fit, fit_identifiable
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.fit.stages import recentred
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import Block
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Route
@@ -166,7 +166,7 @@ def _predicted(saved: SavedModel) -> Dataset:
 def _on_limbs(rows: Dataset, saved: SavedModel) -> Dataset:
     """Rows of poses in the form of a robot of several limbs: a tracker's readings of targets, each on its own link."""
     assert saved.campaign is not None
-    model, kind, n = saved.final.model, KINDS[saved.kind], len(rows)
+    model, kind, n = saved.final.model, MEASUREMENT_KINDS[saved.kind], len(rows)
     blocks = (Block("the calibration", kind.name, rows.channels, rows.sigma),)
     refers = with_trackers(rows.labels.refers, blocks, rows.labels.block, rows.names)
     known = InstrumentDeclarations(saved.campaign.instruments, {}, {}, saved.campaign.path.name)

@@ -30,7 +30,7 @@ MOST_SAMPLES_PER_MOVE = 60
 LONGEST_MOVE = 60.0
 """Moves between standstills further apart are left out, [s]: something else went on there."""
 
-TUKEY = 4.685
+ALIGNMENT_TUKEY = 4.685
 """Tukey's biweight with this has 95 % efficiency for Gaussian noise."""
 
 LEAST_SLOPE = 0.3
@@ -224,13 +224,13 @@ def _line(time: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     for _ in range(30):
         residual = delta - design @ line
         scale = max(1.4826 * few_moves * float(np.median(np.abs(residual))), 1e-9)
-        u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
+        u = np.clip(residual / (ALIGNMENT_TUKEY * scale), -1.0, 1.0)
         weight = (1.0 - u * u) ** 2
         normal = design.T @ (weight[:, None] * design)
         line = np.linalg.solve(normal + np.diag([1e-12, 1e-12]), design.T @ (weight * delta))
     # of an M-estimate (Huber 1981, section 7.6): mean square of psi over the squared mean of its slope
     residual = delta - design @ line
-    u = np.clip(residual / (TUKEY * scale), -1.0, 1.0)
+    u = np.clip(residual / (ALIGNMENT_TUKEY * scale), -1.0, 1.0)
     slope = max(float(np.mean((1 - u**2) * (1 - 5 * u**2))), LEAST_SLOPE)
     variance = float(np.sum((weight * residual) ** 2)) / max(len(time) - 2, 1) / slope**2
     return line, variance * np.linalg.inv(design.T @ design), weight

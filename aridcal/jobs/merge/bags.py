@@ -15,7 +15,7 @@ import numpy as np
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.orientations import QUATERNION
-from aridcal.files.quantities import POSITION
+from aridcal.files.quantities import POSITION_COLUMNS
 from aridcal.jobs.head1992.matching import NotMeasured
 from aridcal.jobs.merge.bag_camera import IMAGES, INFO, BagCamera, CameraInfo, Take, frame_of, info_of, same_camera
 from aridcal.jobs.merge.log import Log, in_order
@@ -26,10 +26,10 @@ from aridcal.system.errors import MeasurementError, name_list, printable
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-ENDINGS = (".bag", ".db3", ".mcap")
+BAG_ENDINGS = (".bag", ".db3", ".mcap")
 """Of bags that are one file; a folder is one of ROS 2."""
 
-JOINTS = "sensor_msgs/msg/JointState"
+JOINT_STATE_TYPE = "sensor_msgs/msg/JointState"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
     "geometry_msgs/msg/PoseStamped": lambda message: (message.pose.position, message.pose.orientation),
@@ -41,7 +41,7 @@ POSES: dict[str, Callable[[Any], tuple[Any, Any]]] = {
 
 def is_bag(source: object) -> bool:
     """Tell whether what a user names is a bag."""
-    return isinstance(source, str | Path) and (Path(source).suffix.lower() in ENDINGS or Path(source).is_dir())
+    return isinstance(source, str | Path) and (Path(source).suffix.lower() in BAG_ENDINGS or Path(source).is_dir())
 
 
 def _reader(path: Path) -> AnyReader:
@@ -122,7 +122,7 @@ def joint_log(path: Path, robot: Robot) -> JointLog:
             rows.setdefault(topic, []).append((_stamp(message.header), *readings))
             arrivals.setdefault(topic, []).append(1e-9 * arrival)
 
-    _messages(path, (JOINTS,), use)
+    _messages(path, (JOINT_STATE_TYPE,), use)
     if not rows:
         lacking = [name for name in robot.readings if name not in names_seen]
         remark = (
@@ -188,9 +188,9 @@ def tracker_log(path: Path, links: frozenset[str], asker: Chooser) -> TrackerLog
     )
     if names[k] in images:
         return camera(path, names[k])
-    columns = (*POSITION, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION
+    columns = (*POSITION_COLUMNS, *QUATERNION) if len(moving[names[k]][0]) == 8 else POSITION_COLUMNS
     log = _log_of_rows(f"{path.name}:{names[k]}", columns, moving[names[k]], arrivals[names[k]])
-    return TrackerLog(log, (POSITION,))
+    return TrackerLog(log, (POSITION_COLUMNS,))
 
 
 def _image_topics(path: Path) -> list[str]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.measurement_settings import ANGLES, LENGTHS, TIMES
-from aridcal.files.quantities import TURNS
+from aridcal.files.quantities import TWO_TURNS
 from aridcal.files.tables import AnyTable, Table, path_of, read_tables
 from aridcal.jobs.merge.log import Log, in_order
 from aridcal.jobs.merge.other_columns import OtherColumns, other_columns
@@ -143,7 +143,7 @@ def _units(log: Log, columns: list[str], robot: Robot) -> tuple[tuple[str, ...],
     if all(word in (ANGLES if turns else LENGTHS) for word, turns in zip(units, turning, strict=True)):
         return (tuple(str(word) for word in units),)
     angles = ("rad", "deg")
-    if turning.any() and float(np.abs(log.values[:, turning]).max()) > TURNS:
+    if turning.any() and float(np.abs(log.values[:, turning]).max()) > TWO_TURNS:
         angles = ("deg",)  # type: ignore[assignment]
     lengths = ("m",) if turning.all() else ("m", "mm")
     return tuple(

@@ -10,7 +10,7 @@ import pandas as pd
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.orientations import QUATERNION
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.yaml_file import FINEST
 from aridcal.jobs.merge.alignment import Moves, align_frames, improved, jump, window_means
 from aridcal.jobs.merge.averages import Averages, averages, without_spikes
@@ -24,7 +24,7 @@ from aridcal.jobs.merge.pairs import Pairs, pairs, settled, window_samples
 from aridcal.jobs.merge.standstills import Standstills, limit_of, speeds, standstills
 from aridcal.jobs.merge.tracker_format import TrackerRows, in_si, tracked
 from aridcal.jobs.prepare.campaign_proposal import STRANGE_SHARE
-from aridcal.jobs.prepare.condition_columns import SAMPLES
+from aridcal.jobs.prepare.condition_columns import SAMPLES_COLUMN
 from aridcal.jobs.prepare.guesses import Chooser
 from aridcal.system.errors import MeasurementError
 
@@ -37,7 +37,7 @@ ALIGNMENT_ROUNDS = 12
 CLOCK_CHANGE_AT_END = 1e-5
 """[s]: a target at 1 m/s moves by 10 micrometres in it."""
 
-TIME = "time"
+TIME_COLUMN = "time"
 """Column of a row's time, by the joints' clock."""
 
 
@@ -155,7 +155,7 @@ def merged(robot: Robot, joints: JointLog, measured: TrackerLog, asker: Chooser)
     _, residual = align_frames(robot, mean, average.position)
     _refuse_strange(residual, average.position, clocks.joints(0.5 * (paired.begin + paired.end)), si.log.title)
     table = _table(robot, mean, average, clocks.joints(0.5 * (paired.begin + paired.end)))
-    own_columns = {*robot.readings, *POSITION, *QUATERNION, *STD, TIME, SAMPLES}
+    own_columns = {*robot.readings, *POSITION_COLUMNS, *QUATERNION, *STD, TIME_COLUMN, SAMPLES_COLUMN}
     windows_of = {
         "joints": (joints.others, clocks.joints(paired.begin), clocks.joints(paired.end)),
         "tracker": (measured.others, paired.begin, paired.end),
@@ -238,18 +238,18 @@ def _refuse_strange(misses: np.ndarray, position: np.ndarray, time: np.ndarray, 
 
 def _table(robot: Robot, q: np.ndarray, average: Averages, time: np.ndarray) -> pd.DataFrame:
     """Rows in the order of time."""
-    clash = sorted(set(robot.readings) & {*POSITION, *QUATERNION, *STD, TIME, SAMPLES})
+    clash = sorted(set(robot.readings) & {*POSITION_COLUMNS, *QUATERNION, *STD, TIME_COLUMN, SAMPLES_COLUMN})
     if clash:
         raise MeasurementError(
             f"{robot.path.name}: a joint is called {clash[0]!r}, as a column of the table is; rename it"
         )
     columns: dict[str, np.ndarray] = {name: q[:, k] for k, name in enumerate(robot.readings)}
-    columns |= dict(zip(POSITION, average.position.T, strict=True))
+    columns |= dict(zip(POSITION_COLUMNS, average.position.T, strict=True))
     if average.quaternion is not None:
         columns |= dict(zip(QUATERNION, average.quaternion.T, strict=True))
     if (average.std > FINEST).all():  # of an instrument that rounds its noise away nothing is known
         columns |= dict(zip(STD, average.std.T, strict=False))
-    columns |= {TIME: time, SAMPLES: average.count}
+    columns |= {TIME_COLUMN: time, SAMPLES_COLUMN: average.count}
     return pd.DataFrame(columns)
 
 

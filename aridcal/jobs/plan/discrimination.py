@@ -20,10 +20,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
-from aridcal.engine.corrections.catalogue import KINDS, candidates
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates
 from aridcal.engine.corrections.effect import Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
-from aridcal.engine.trust.workspace import LOOSE
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.jobs.plan.information import CandidateInformation, measured_information, stack_by_candidate, whitened
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
@@ -140,7 +140,7 @@ def discriminating_candidates(
         [k for k in (*range(unknowns.things), *(unknowns.things + k for k in unknowns.kept)) if k not in own_columns]
     )
     sizes = np.concatenate([np.ones(unknowns.things), wide.model.sizes])
-    information = flat.T @ flat + np.diag(1.0 / (LOOSE * sizes) ** 2)
+    information = flat.T @ flat + np.diag(1.0 / (UNTOLD_SIGMA * sizes) ** 2)
     pool = np.einsum("cpi,cpj->ij", rows, rows, optimize=True) * (3.0 * n / len(rows))
     sides = []
     for h in (k for k, side in enumerate(owner) if side < 2):
@@ -198,11 +198,15 @@ def _library(
     setup: PlanSetup, observed: ObservedRows, effects: Sequence[tuple[str, tuple[Coefficient, ...]]]
 ) -> list[Effect]:
     """Candidates of the search beside two effects: small ones that hold neither of the two."""
-    kinds = [kind for kind in setup.campaign.diagnosis.candidates if KINDS[kind].named and KINDS[kind].key != "at"]
+    kinds = [
+        kind
+        for kind in setup.campaign.diagnosis.candidates
+        if EFFECT_KINDS[kind].named and EFFECT_KINDS[kind].key != "at"
+    ]
     names = {name for name, _ in effects}
     holding = {
         (kind.name, name.rpartition(".")[0])
-        for kind in KINDS.values()
+        for kind in EFFECT_KINDS.values()
         for name in names
         if name.rpartition(".")[2] in kind.holds
     }

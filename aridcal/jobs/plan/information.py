@@ -12,14 +12,14 @@ from aridcal.engine.fit.identifiable import identifiable
 from aridcal.engine.fit.problem import Problem, problem
 from aridcal.engine.instruments.channels import spread
 from aridcal.engine.model.predictions import rows_of_data
-from aridcal.engine.trust.workspace import LOOSE, shifted
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA, shifted
 from aridcal.jobs.plan.configurations import Candidates
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
 
 ASSUMED_SHARE = 0.1
-"""Share of :data:`LOOSE` beyond which a sigma is that of what is assumed, not measured."""
+"""Share of :data:`UNTOLD_SIGMA` beyond which a sigma is that of what is assumed, not measured."""
 
-ROUNDING = 1e-10
+TOGETHER_RANK = 1e-10
 """Share of the largest singular value below which what several rows of one configuration tell together is nothing: thirty markers
 move as one body, by six numbers."""
 
@@ -31,7 +31,7 @@ class CandidateInformation:
     Attributes:
         candidates: In sigmas, shape (C, p, D).
         known: Information without the candidates, shape (D, D).
-        measured: Information without the candidates and without :data:`LOOSE`, shape (D, D).
+        measured: Information without the candidates and without :data:`UNTOLD_SIGMA`, shape (D, D).
         things: Number of unknowns of things.
         kept: Indices of the model's coefficients, in the order of the other unknowns.
         sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
@@ -64,7 +64,7 @@ def candidate_information(setup: PlanSetup, candidates: Candidates, n: int) -> C
     asked_about = _columns(count, kept)
     flat = flat[:, asked_about]
     measured = flat.T @ flat
-    loose = np.diag(1.0 / (LOOSE * sizes[asked_about]) ** 2)
+    loose = np.diag(1.0 / (UNTOLD_SIGMA * sizes[asked_about]) ** 2)
     return CandidateInformation(
         stack_by_candidate(rows[:, :, asked_about], candidates),
         measured + loose,
@@ -159,7 +159,7 @@ def stack_by_candidate(rows: np.ndarray, candidates: Candidates) -> np.ndarray:
     if stacked.shape[1] == 1:
         return flat
     _, s, Vt = np.linalg.svd(flat, full_matrices=False)
-    rank = int((s > ROUNDING * s.max()).sum(axis=1).max())
+    rank = int((s > TOGETHER_RANK * s.max()).sum(axis=1).max())
     return np.asarray(s[:, :rank, None] * Vt[:, :rank])
 
 

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from aridcal.engine.corrections.effect import Coefficient
-from aridcal.engine.trust.workspace import LOOSE
+from aridcal.engine.trust.workspace import UNTOLD_SIGMA
 from aridcal.jobs.plan.configurations import Candidates, targets_of
 from aridcal.jobs.plan.information import ASSUMED_SHARE, CandidateInformation
 from aridcal.jobs.plan.prior_knowledge import PlanSetup
@@ -63,7 +63,7 @@ def sigma_of(choice: RowChoice, chosen: list[int]) -> Sigma:
 
 def observed_sigma(sigma: float) -> float:
     """A sigma, or NaN where it comes from what is assumed, not from rows."""
-    return sigma if sigma < ASSUMED_SHARE * LOOSE else float("nan")
+    return sigma if sigma < ASSUMED_SHARE * UNTOLD_SIGMA else float("nan")
 
 
 def coverage(

@@ -10,11 +10,11 @@ import numpy as np
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.sights import Sights
 from aridcal.engine.fit.constants import constants, frame_coefficients, frame_labels, station_labels
-from aridcal.engine.fit.least_squares import UNKNOWN_NOISE
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.fit.least_squares import FIRST_NOISE
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.setup import TIP, Block, Instruments
 from aridcal.engine.inverse.reachable import draw_readings
-from aridcal.engine.model.model import SIZES, Model
+from aridcal.engine.model.model import UNIT_SIZES, Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.collisions import Bodies, bodies_of
 from aridcal.engine.robot.kinematics import tip_frames
@@ -37,7 +37,7 @@ from aridcal.jobs.plan.mounting import keeps_above, mounting_side
 from aridcal.system.errors import CampaignError, MeasurementError, name_list
 from aridcal.system.progress import SILENT, Progress
 
-PLANNED_KINDS = tuple(name for name, kind in KINDS.items() if not kind.of_head)
+PLANNED_KINDS = tuple(name for name, kind in MEASUREMENT_KINDS.items() if not kind.of_head)
 """Kinds of measurements that can be planned. What a shot of camera and sonars tells hangs on which squares it shows, and how well
 these are found in the image: that is known of images only."""
 
@@ -140,7 +140,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
         )
     files = [] if campaign.has_other_tables else [path for block in campaign.blocks for path in block.files]
     missing = [path for path in files if not path.exists()]
-    remarks = (ANGLES_ALONE,) if KINDS[kind].level else ()
+    remarks = (ANGLES_ALONE,) if MEASUREMENT_KINDS[kind].level else ()
     if not missing:
         setup = _from_rows(campaign, robot, bodies(campaign.design.keep_out or (), robot), progress)
         return replace(setup, notices=(*remarks, *setup.notices))
@@ -154,7 +154,7 @@ def beforehand(campaign: Campaign, robot: Robot, progress: Progress = SILENT) ->
             f"{campaign.path}: measurements: nothing was measured yet, and there are several blocks: plan each in a campaign of "
             "its own"
         )
-    if KINDS[kind].joins:
+    if MEASUREMENT_KINDS[kind].joins:
         raise CampaignError(
             f"{campaign.path}: measurements.kind: nothing was measured yet, and nothing else says how the body lies in the hands "
             "that hold it: move both arms with it to a few postures, record them, and plan more rows of that grasp"
@@ -266,7 +266,7 @@ def _from_nothing(campaign: Campaign, robot: Robot, bodies: Bodies) -> PlanSetup
     kind, n = settings.traits, len(refers)
     channels = kind.channels
     declared = tuple(getattr(settings.noise, channel.name) for channel in channels)
-    sigma = np.array([s or UNKNOWN_NOISE * SIZES[c.unit] for s, c in zip(declared, channels, strict=True)])
+    sigma = np.array([s or FIRST_NOISE * UNIT_SIZES[c.unit] for s, c in zip(declared, channels, strict=True)])
     turns = np.tile(np.eye(3), (n, 1, 1)) if kind.oriented else None
     rows = dataset(robot.readings, robot.kinds, np.tile(middle, (n, 1)), np.zeros((n, 3)), turns, sigma=sigma.tolist())
     directions = tuple(f"{name}_direction" for name in robot.readings)

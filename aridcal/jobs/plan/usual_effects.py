@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import ValidationError
 
-from aridcal.engine.corrections.catalogue import KINDS, candidates, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, candidates, declared
 from aridcal.engine.corrections.effect import Coefficient
 from aridcal.engine.corrections.effect_kind import ObservedRows
 from aridcal.engine.model.predictions import rows_of_data
@@ -136,9 +136,9 @@ def _effect(setup: PlanSetup, name: str, pool: Candidates) -> tuple[Coefficient,
         CampaignError: there is no such effect.
     """
     where, _, kind = name.rpartition(".")
-    if not where or kind not in KINDS:
+    if not where or kind not in EFFECT_KINDS:
         raise CampaignError(
-            f"--apart {name}: should be WHERE.KIND, joint_2.joint_gain for instance{nearest(kind, KINDS)}"
+            f"--apart {name}: should be WHERE.KIND, joint_2.joint_gain for instance{nearest(kind, EFFECT_KINDS)}"
         )
     stated = [d for d in setup.campaign.effects if (d.where, d.kind) == (where, kind)]
     try:

@@ -11,7 +11,7 @@ import numpy as np
 from aridcal.engine.robot.chain import Robot, chain, with_limbs
 from aridcal.engine.robot.tree import read_tree
 from aridcal.files.measurement_settings import TARGET
-from aridcal.files.orientations import POSITION, QUATERNION_SLACK
+from aridcal.files.orientations import POSITION_COLUMNS, QUATERNION_SLACK
 from aridcal.files.tables import Table
 from aridcal.jobs.prepare.column_names import (
     MEASURED_WORDS,
@@ -36,7 +36,7 @@ from aridcal.system.errors import MeasurementError, RobotError, name_list, short
 # Share of rows in which a quaternion's norm is 1.
 LEAST_UNIT_NORM_SHARE = 0.8
 # Rows without which nothing can be judged: the frames alone take twelve numbers.
-FEWEST_ROWS = 4
+FEWEST_TABLE_ROWS = 4
 # No nominal robot misses the targets by so much of their spread.
 STRANGE_SHARE = 0.05
 # The base's z is the instrument's if they are as close as that, [deg]: floors and tripods are less exact than
@@ -269,7 +269,7 @@ def _position(
     why = "the measured position" + (f", not {' or '.join(others)}{reason}" if others else "")
     if position.computed:
         why = COMPUTED_ALONE
-    columns = dict(zip(POSITION, position.columns, strict=True))
+    columns = dict(zip(POSITION_COLUMNS, position.columns, strict=True))
     proposal.say_columns(columns, why, sure=not (position.commanded or position.computed))
     return position
 
@@ -337,11 +337,11 @@ def _sample(
         words, counts = np.unique(table.texts(TARGET), return_counts=True)
         finite &= table.texts(TARGET) == (words[np.argmax(counts)] if label is None else label)
     whole = np.flatnonzero(finite)
-    if len(whole) < FEWEST_ROWS:
+    if len(whole) < FEWEST_TABLE_ROWS:
         counts = np.isfinite(np.hstack([q, position])).sum(axis=0)
         emptiest = [*joints, *place.columns][int(np.argmin(counts))]
         raise MeasurementError(
-            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST_ROWS} are the least. The column "
+            f"{table.title}: {len(whole)} rows have all joints and positions; {FEWEST_TABLE_ROWS} are the least. The column "
             f"{emptiest!r} has numbers in {counts.min()} of {len(table)} rows: mend it, or measure more"
         )
     chosen = np.random.default_rng(0).permutation(whole)[:SAMPLE_ROWS]

@@ -30,8 +30,8 @@ from aridcal.system.reading.regular_files import URDF
 # Of a line with a comment.
 COMMENT_WIDTH = 116
 # So wide that YAML breaks no value.
-ONE_LINE = 10_000
-HEAD = """\
+LONGEST_YAML_LINE = 10_000
+CAMPAIGN_HEAD = """\
 # Proposed by `aridcal init`. What was guessed says so: read it once. All keys: docs/formats.md.
 format: 1
 """
@@ -122,7 +122,7 @@ def campaign_text(proposal: Proposal, source: RobotDescription, tables: Sequence
     columns = [guess for guess in parts["measurements.columns"] if guess.value is not None or not guess.sure]
     renamed = any(guess.value is not None for guess in columns)
     lines = [
-        f"{HEAD}robot:",
+        f"{CAMPAIGN_HEAD}robot:",
         *_source(source, home),
         *_mapping(parts["robot"], "  "),
         "measurements:",
@@ -177,7 +177,7 @@ def _mapping(guesses: Sequence[Guess], indent: str) -> list[str]:
 
 def scalar(value: Any) -> str:
     """A value on one line of YAML, quoted where it must be."""
-    text = yaml.safe_dump(value, default_flow_style=True, width=ONE_LINE, allow_unicode=True)
+    text = yaml.safe_dump(value, default_flow_style=True, width=LONGEST_YAML_LINE, allow_unicode=True)
     return text.removesuffix("...\n").strip()
 
 

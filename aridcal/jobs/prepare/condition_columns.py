@@ -33,7 +33,7 @@ COVARIATES = (
 # Largest numbers of clocks that count from 1970, in units that programs write; what is larger counts nanoseconds.
 EPOCH = {"s": 1e11, "ms": 1e14, "us": 1e17}
 
-SAMPLES = "n"
+SAMPLES_COLUMN = "n"
 """The column in which `aridcal merge` counts the samples behind a row."""
 
 POSE_NOISE = "{position: …, rotation: …}, 1 sigma per axis, m and rad"
@@ -119,7 +119,7 @@ def _no_covariate(table: Table, name: str, in_families: Collection[str]) -> str:
         return ""
     if set(words(name)) & SCATTER_WORDS:
         return "how well something was measured"
-    if name == SAMPLES:
+    if name == SAMPLES_COLUMN:
         return "how many samples a row is the mean of"
     numbers, _ = table.numbers(name)
     values = numbers[np.isfinite(numbers)]

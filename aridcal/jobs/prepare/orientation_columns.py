@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.files.orientations import QUATERNION
 from aridcal.files.quantities import SAME_ORIENTATION, STD
 from aridcal.files.tables import Table
-from aridcal.files.yaml_file import LARGEST
+from aridcal.files.yaml_file import LARGEST_SETTING
 from aridcal.jobs.prepare.column_names import (
     COMMANDED_WORDS,
     MEASURED_WORDS,
@@ -191,4 +191,4 @@ def _candidates(table: Table, used: set[str], place: Family, rows: np.ndarray, r
 def sensible(table: Table, columns: Sequence[str]) -> np.ndarray:
     """Columns as numbers, shape (N, columns); NaN where there is none, or one so large that it stands for a hole."""
     values = table.matrix(columns)
-    return np.where(np.abs(values) <= LARGEST, values, np.nan)
+    return np.where(np.abs(values) <= LARGEST_SETTING, values, np.nan)

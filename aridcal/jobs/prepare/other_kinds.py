@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aridcal.files.tables import ENDINGS, Table
+from aridcal.files.tables import TABLE_ENDINGS, Table
 from aridcal.files.yaml_file import load_settings
 from aridcal.jobs.boards.camera_file import CAMERA_FILE, CameraFile
 from aridcal.jobs.prepare.column_names import positions, unit, words
@@ -115,7 +115,7 @@ def say_other_kind(
     proposal.say_columns(columns, "by their names")
     spare = [name for name in kind.spare if name in table.cells]
     _say_units(kind, columns, table, joints, turning, proposal)
-    remark = REMARKS.get(kind.name)
+    remark = REMARKS_BY_KIND.get(kind.name)
     if remark:
         remark(table, proposal)
     return {*columns.values(), *spare}
@@ -213,11 +213,11 @@ def _say_lengths(table: Table, proposal: Proposal) -> None:
     proposal.say("lengths", None, why, sure=False)
 
 
-REMARKS: dict[str, Callable[[Table, Proposal], None]] = {"pixels": _say_cameras, "point": _say_lengths}
+REMARKS_BY_KIND: dict[str, Callable[[Table, Proposal], None]] = {"pixels": _say_cameras, "point": _say_lengths}
 """Further remarks, by the name of the kind."""
 
 
 def _folder(table: Table) -> Path | None:
     """Where the table is; None if it is no file."""
     path = table.files[0]
-    return path.parent if path.suffix.lower() in ENDINGS else None
+    return path.parent if path.suffix.lower() in TABLE_ENDINGS else None

@@ -24,7 +24,7 @@ from aridcal.engine.rows.dataset import Dataset
 from aridcal.files.campaign import Campaign
 from aridcal.files.measurement_settings import ANGLES, JointColumn, MeasurementSettings
 from aridcal.files.orientations import QUATERNION, column_of
-from aridcal.files.quantities import POSITION, STD
+from aridcal.files.quantities import POSITION_COLUMNS, STD
 from aridcal.files.read import load_measurements
 from aridcal.files.tables import read_tables
 from aridcal.jobs.prepare.units_and_angles import TRIED_LENGTHS, rounded
@@ -282,7 +282,7 @@ def _units(settings: MeasurementSettings, robot: Robot, table: pd.DataFrame) -> 
                 f"lengths in {UNITS_IN_WORDS.get(unit, unit)}", _write(f"units: {{length: {unit}}}"), changed, table
             )
             if "prismatic" in robot.kinds:
-                place = [column_of(name, settings, robot.readings) for name in POSITION]
+                place = [column_of(name, settings, robot.readings) for name in POSITION_COLUMNS]
                 yield _columns_in(
                     f"positions in {UNITS_IN_WORDS.get(unit, unit)}", dict.fromkeys(place, unit), settings, table
                 )

@@ -17,7 +17,7 @@ from aridcal.jobs.prepare.units_and_angles import rounded
 from aridcal.system.errors import AridcalError, MeasurementError
 from aridcal.system.reading import workbooks
 from aridcal.system.reading.dialect import PLAIN, Dialect
-from aridcal.system.reading.regular_files import TABLE, read_file
+from aridcal.system.reading.regular_files import TABLE_LIMIT, read_file
 from aridcal.system.reading.user_names import check_path
 
 SAME_FIT_SHARE = 1e-9
@@ -37,9 +37,9 @@ def dialects_of(tables: Sequence[AnyTable], asker: Chooser) -> tuple[list[Dialec
         if path is None or path.suffix.lower() == ".parquet":
             continue
         check_path(path, MeasurementError)
-        if path.suffix.lower() not in robot_calibration.ENDINGS:
+        if path.suffix.lower() not in robot_calibration.CALIBRATION_ENDINGS:
             check_ending(path)
-        answer = look(read_file(path, MeasurementError, TABLE), path, TABLE, asker.pick)
+        answer = look(read_file(path, MeasurementError, TABLE_LIMIT), path, TABLE_LIMIT, asker.pick)
         maker = maker or answer.maker
         if possible is None:
             possible, first = list(answer.dialects), path
@@ -131,7 +131,7 @@ def say_table(dialect: Dialect, tables: Sequence[AnyTable], maker: str, why: str
     """Say how the tables are written, unless they are plain csv."""
     keys = as_keys(dialect)
     workbook = any(
-        not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.ENDINGS for one in tables
+        not isinstance(one, pd.DataFrame) and Path(one).suffix.lower() in workbooks.WORKBOOK_ENDINGS for one in tables
     )
     if keys or maker or workbook:
         parts = [f"an export of {maker}"] if maker else []

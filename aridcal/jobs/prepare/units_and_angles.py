@@ -24,7 +24,7 @@ from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 from aridcal.files.measurement_settings import ANGLES, LENGTHS
 from aridcal.files.orientations import MATRIX_SLACK, QUATERNION
-from aridcal.files.quantities import TURNS
+from aridcal.files.quantities import TWO_TURNS
 from aridcal.jobs.prepare.column_names import Family, MatrixColumns
 
 # Units of length that tables of robots are in; the others are to be stated.
@@ -34,7 +34,7 @@ MOST_SIZE_RATIO = 6.0
 # Units whose clouds differ by no more than this factor from the best are tried too.
 SIMILAR_SIZE_RATIO = 1.5
 # Keeps clouds that are one point from dividing by zero, [m].
-LEAST_SPREAD = 1e-9
+LEAST_READING_SPREAD = 1e-9
 # Euler angles whose columns name their axes.
 AXIS_SEQUENCES = ("xyz", "XYZ", "XZY", "YXZ", "YZX", "ZXY")
 # Euler angles in columns such as A B C. Fixed xyz is turning ZYX with the columns reversed.
@@ -157,7 +157,7 @@ def _size_ratio(sample: Sample, robot: Robot, angle: str, length: str, travel: s
     """How many times larger or smaller the measured cloud is than the cloud of the nominal robot's tips, at least 1."""
     _, tips = tip_frames(robot, _si_readings(sample, angle, travel))
     measured = _spread(sample.position) * LENGTHS[length]
-    ratio = (measured + LEAST_SPREAD) / (_spread(tips) + LEAST_SPREAD)
+    ratio = (measured + LEAST_READING_SPREAD) / (_spread(tips) + LEAST_READING_SPREAD)
     return max(ratio, 1 / ratio)
 
 
@@ -194,7 +194,7 @@ def angle_writings(family: Family, values: np.ndarray, reading: TableReading) ->
     writings = []
     largest = np.nanmax(np.abs(values))
     for unit, radians in ANGLES.items():
-        if unit == "rad" and largest > TURNS:
+        if unit == "rad" and largest > TWO_TURNS:
             continue
         angles = _whole(values) * radians
         orientation: dict[str, Any] = {"rotvec": list(family.columns)}
@@ -270,7 +270,7 @@ def _read(sample: Sample, robot: Robot, angle: str, length: str, travel: str, pe
         distance = np.linalg.norm(m - target, axis=1)
         starts.append((float(np.median(distance)), turn))
     metres, turn = min(starts, key=lambda start: start[0])
-    share = metres / max(_spread(m), LEAST_SPREAD)
+    share = metres / max(_spread(m), LEAST_READING_SPREAD)
     return TableReading(angle, length, travel, per, metres, share, turn, R)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from aridcal.engine.instruments.pixels import faces, in_image
 from aridcal.engine.instruments.setup import WORLD
 from aridcal.files.instrument_settings import Carrier
-from aridcal.files.things import BOARD, InstrumentDeclarations
+from aridcal.files.things import BOARD_PREFIX, InstrumentDeclarations
 from aridcal.jobs.simulate.true_things import (
     FACING,
     MARKER_BOX,
@@ -161,7 +161,7 @@ class _Setup:
             first += len(board.labels)
         real = {
             "camera": RealThings(tuple(self.cameras), np.array([camera.state for camera in self.cameras.values()])),
-            "board": RealThings(tuple(BOARD + board.carrier for board in self.boards), np.array(boards)),
+            "board": RealThings(tuple(BOARD_PREFIX + board.carrier for board in self.boards), np.array(boards)),
             "marker": RealThings(tuple(n for board in self.boards for n in board.labels), np.concatenate(markers)),
         }
         printed = tuple(board.printed for board in self.boards)
@@ -215,7 +215,7 @@ def _board(
         rng: Draws markers, and how a printed board's are off.
     """
     place: np.ndarray | None = None
-    board = known.boards.get(BOARD + carrier)
+    board = known.boards.get(BOARD_PREFIX + carrier)
     if board is not None:
         markers = {label: marker for label, marker in known.markers.items() if marker.on == carrier}
         labels = tuple(markers)
@@ -243,7 +243,7 @@ def _with_places(setup: _Setup, number: int, tips: Tips, draw: Draw) -> _Setup:
     board = setup.boards[b]
     if board.place is not None if camera.on_tip else camera.given:
         return setup
-    board_name = BOARD + board.carrier
+    board_name = BOARD_PREFIX + board.carrier
     carrier_places = np.tile(
         np.eye(4), (PLACES, 1, 1)
     )  # places of the camera's carrier in the board's, or the other way round
@@ -303,7 +303,8 @@ def draw_images(seen: Sight, cameras: np.ndarray, tips: Tips, draw: Draw, place:
             if len(missing):
                 raise CampaignError(
                     f"{place}: the camera {seen.real['camera'].names[c]} sees the markers on "
-                    f"{seen.real['board'].names[board].removeprefix(BOARD)} from hardly any posture of the robot: move camera "
+                    f"{seen.real['board'].names[board].removeprefix(BOARD_PREFIX)} from hardly any posture of the robot: move "
+                    f"camera "
                     "or markers under `truth.instruments`"
                 )
     return readings, shown

@@ -19,7 +19,7 @@ from aridcal.engine.instruments.channels import columns as parts_of
 from aridcal.engine.instruments.inclination import DOWN
 from aridcal.engine.instruments.joined import GRASP
 from aridcal.engine.instruments.kind import MeasurementKind
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.instruments.pose import TRACKER, tracker_positions
 from aridcal.engine.instruments.setup import TIP, WORLD
 from aridcal.engine.inverse.reachable import Miss, Pose, draw_readings, limits_of, readings_for_poses, settled
@@ -27,7 +27,7 @@ from aridcal.engine.model.model import Model, ModelRows
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.instrument_settings import TargetSettings
 from aridcal.files.measurement_settings import SHOT, TARGET, MeasurementSettings
-from aridcal.files.orientations import POSITION, QUATERNION
+from aridcal.files.orientations import POSITION_COLUMNS, QUATERNION
 from aridcal.files.read import ONE_TARGET, default_target
 from aridcal.files.routes import routes_of
 from aridcal.files.things import InstrumentDeclarations, instrument_declarations
@@ -339,7 +339,7 @@ def _first_rows(
     """Rows of a block, the machine without its effects."""
     block, truth = scenario.blocks[number], scenario.truth
     place = f"{scenario.path}: {scenario.place(number)}"
-    kind, n = KINDS[block.kind], truth.n
+    kind, n = MEASUREMENT_KINDS[block.kind], truth.n
     nominal, theta = machine.model()
 
     def pose(of: BlockRows) -> Pose:
@@ -509,7 +509,9 @@ def _read(
     """Readings of the instrument, shape (n,) each, by the names of the columns."""
     kind = rows.kind
     if kind.tracked:
-        values = dict(zip(POSITION, (tracker_positions(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True))
+        values = dict(
+            zip(POSITION_COLUMNS, (tracker_positions(p, rows.states(real)[0]) + errors[:, :3]).T, strict=True)
+        )
         if kind.oriented:
             turn = Rotation.from_rotvec(errors[:, 3:]) * Rotation.from_matrix(R, assume_valid=True)
             values |= dict(zip(QUATERNION, turn.as_quat(canonical=True).T, strict=True))

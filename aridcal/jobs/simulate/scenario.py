@@ -7,8 +7,8 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
-from aridcal.engine.corrections.labels import STATION
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
+from aridcal.engine.corrections.labels import LABEL_COLUMN
 from aridcal.engine.corrections.loads import PAYLOAD
 from aridcal.engine.robot.chain import Robot
 from aridcal.files.campaign import JobSettings
@@ -134,10 +134,10 @@ def check_scenario(scenario: Scenario) -> None:
         "truth.effects": (
             measurements.head is None
             and any(is_of_head(e.kind) and e.where not in scenario.instruments.cameras for e in truth.effects),
-            f"{', '.join(filter(is_of_head, KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
+            f"{', '.join(filter(is_of_head, EFFECT_KINDS))} need `kind: camera_sonar`, or a camera under `instruments`",
         ),
         "truth.effects: by": (
-            any(e.by == STATION for e in truth.effects),
+            any(e.by == LABEL_COLUMN for e in truth.effects),
             "stations are not simulated; name a joint, a column or `place`",
         ),
         "measurements.units": (_any_has(scenario, "units"), "the table is written in SI; delete this key"),

@@ -13,16 +13,16 @@ import pinocchio as pin
 from pydantic import BeforeValidator, Field, model_validator
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS, declared
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, declared
 from aridcal.engine.corrections.effect import FRAME_COMPONENTS, ROW_ORDER, Coefficient, Effect
 from aridcal.engine.corrections.effect_kind import ObservedRows
-from aridcal.engine.corrections.loads import LOADS, PAYLOAD, Surroundings, covariate_table, is_load
+from aridcal.engine.corrections.loads import LOAD_MARKS, PAYLOAD, Surroundings, covariate_table, is_load
 from aridcal.engine.corrections.sights import sight_table
 from aridcal.engine.corrections.smooth import Kernel, samples_root
 from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot, Route
 from aridcal.files.campaign import EffectDeclaration
-from aridcal.files.yaml_file import LARGEST, Number, Section
+from aridcal.files.yaml_file import LARGEST_SETTING, Number, Section
 from aridcal.system.errors import CampaignError, nearest
 from aridcal.system.reading.table_files import FIRST_LINE
 
@@ -48,7 +48,7 @@ def _bell(distance: np.ndarray) -> np.ndarray:
 
 
 # Named functions: how many covariates each takes, all scaled to -1 .. 1 over the rows, and its value, at most 1.
-FUNCTIONS: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
+ERROR_CURVES: dict[str, tuple[int, Callable[..., np.ndarray]]] = {
     "line": (1, lambda u: u),
     "bow": (1, lambda u: 1.0 - u**2),
     "kink": (1, np.abs),
@@ -65,7 +65,7 @@ class Parameter(Section):
     """A true value: given, or drawn from a normal distribution."""
 
     value: Number = 0.0
-    std: float = Field(default=0.0, ge=0, le=LARGEST)
+    std: float = Field(default=0.0, ge=0, le=LARGEST_SETTING)
 
 
 def number_as_value(value: Any) -> Any:
@@ -85,22 +85,22 @@ class TrueEffect(EffectDeclaration):
     """
 
     form: str | None = None
-    """Key of :data:`FUNCTIONS`."""
+    """Key of :data:`ERROR_CURVES`."""
     coefficients: Annotated[tuple[Parameter, ...], BeforeValidator(_given_list)]
     """In the order of the catalogue, [m] or [rad] per unit of the basis; one ``{std}`` draws them all."""
 
     @model_validator(mode="after")
     def _can_be_simulated(self) -> TrueEffect:
         if self.form is not None:
-            if self.form not in FUNCTIONS:
-                raise ValueError(f"form: no function {self.form!r}{nearest(self.form, FUNCTIONS)}")
-            kind = KINDS[self.kind]
+            if self.form not in ERROR_CURVES:
+                raise ValueError(f"form: no function {self.form!r}{nearest(self.form, ERROR_CURVES)}")
+            kind = EFFECT_KINDS[self.kind]
             if not kind.curve:
-                *others, last = (k.name for k in KINDS.values() if k.curve)
+                *others, last = (k.name for k in EFFECT_KINDS.values() if k.curve)
                 raise ValueError(f"form: belongs to {', '.join(others)} and {last}; {self.kind} has its own")
             if not kind.named and (self.motion is None or self.covariates is None):
                 raise ValueError(f"an {self.kind} effect with a `form` needs `motion` and `covariates`")
-            count = FUNCTIONS[self.form][0]
+            count = ERROR_CURVES[self.form][0]
             if len(self.covariates or ("",)) != count:
                 raise ValueError(f"form: {self.form} is a function of {count} covariates")
         return self
@@ -177,7 +177,7 @@ class Machine:
 
 def columns_needed(effects: Sequence[TrueEffect], robot: Robot) -> tuple[str, ...]:
     """Columns beside the joints that some effects depend on, each once."""
-    names = dict.fromkeys(name for e in effects for name in KINDS[e.kind].columns(e))
+    names = dict.fromkeys(name for e in effects for name in EFFECT_KINDS[e.kind].columns(e))
     return tuple(name for name in names if name not in robot.names and not is_load(name))
 
 
@@ -254,7 +254,7 @@ def make_causes(
     world = np.zeros(len(readings), dtype=int)
     order = np.arange(len(readings)) + float(FIRST_LINE) if lines is None else lines
     depends = {**columns, ROW_ORDER: order}
-    table = covariate_table(robot, readings, depends, around, world, set(LOADS))
+    table = covariate_table(robot, readings, depends, around, world, set(LOAD_MARKS))
     at_tip = world if tip is None else tip
     if places is None:
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
@@ -287,7 +287,7 @@ def _function(
         low, high = float(table[name].min()), float(table[name].max())
         ranges[name] = (low, high)
         scaled.append((2.0 * table[name] - low - high) / max(high - low, 1e-300))
-    return np.asarray(FUNCTIONS[e.form][1](*scaled)), ranges
+    return np.asarray(ERROR_CURVES[e.form][1](*scaled)), ranges
 
 
 def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
@@ -295,7 +295,7 @@ def _functional(e: TrueEffect, column: str, robot: Robot, place: str) -> Effect:
     if e.where not in places:
         raise CampaignError(f"{place}: effects: no place {e.where!r}{nearest(e.where, places)}")
     frame = e.where in ("world_base", "tip_target")
-    components = tuple(c for c in KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
+    components = tuple(c for c in EFFECT_KINDS[e.kind].curve if not frame or c in FRAME_COMPONENTS)
     motion = e.motion or components
     for component in motion:
         if component not in components:

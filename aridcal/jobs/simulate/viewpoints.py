@@ -37,20 +37,20 @@ FEWEST_FIDUCIALS = 4
 POSTURES_IN_POOL = 4000
 
 # Rounds in which views that failed are drawn anew; after half of them, of squares that did not fail.
-DRAWING_ROUNDS = 40
+VIEWPOINT_ROUNDS = 40
 
 # Of Gauss-Newton towards a view.
 APPROACH_STEPS = 25
 
 # [rad]: the most that a joint turns in one step, as far as the linear model holds.
-LARGEST_STEP = 0.3
+LARGEST_VIEW_STEP = 0.3
 
 # [m²] of the normal equations: less than any joint that moves the camera, enough for one that does not.
-DAMPING = 1e-6
+VIEWPOINT_DAMPING = 1e-6
 
 # [m]: a turn of the camera counts as a shift of this times as much, somewhat more than its distance from the
 # square.
-LEVER = 0.5
+VIEW_LEVER = 0.5
 
 # Share of each joint's range that is left free at either end.
 LIMIT_MARGIN_SHARE = 0.01
@@ -84,8 +84,8 @@ def draw_views(
     readings = np.zeros((n, len(low)))
     looked_at = np.array([names[k % len(names)] for k in range(n)])
     missing = np.arange(n)
-    for attempt in range(DRAWING_ROUNDS):
-        if attempt > DRAWING_ROUNDS // 2:  # what cannot be reached is left out: another square takes its place
+    for attempt in range(VIEWPOINT_ROUNDS):
+        if attempt > VIEWPOINT_ROUNDS // 2:  # what cannot be reached is left out: another square takes its place
             reached = np.setdiff1d(np.arange(n), missing)
             if len(reached) == 0:
                 raise CampaignError(f"{place}: this arm brings the camera in front of none of the squares")
@@ -133,7 +133,7 @@ class _Pool:
     def nearest(self, at: np.ndarray, axis: np.ndarray) -> np.ndarray:
         """Return the posture nearest each wanted place (N, 3) and direction (N, 3), shape (N, columns)."""
         off = np.sum((self.places[None] - at[:, None]) ** 2, axis=2)
-        off += LEVER**2 * np.sum((self.axes[None] - axis[:, None]) ** 2, axis=2)
+        off += VIEW_LEVER**2 * np.sum((self.axes[None] - axis[:, None]) ** 2, axis=2)
         return self.q[np.argmin(off, axis=1)]
 
 
@@ -201,12 +201,12 @@ def _approach(
         J = by_joints @ robot.factors
         z = R[:, :, 2]
         across = np.eye(3) - z[:, :, None] * z[:, None, :]
-        e = np.concatenate([at - p, LEVER * np.cross(z, axis)], axis=1)
-        A = np.concatenate([J[:, :3], LEVER * across @ J[:, 3:]], axis=1)
+        e = np.concatenate([at - p, VIEW_LEVER * np.cross(z, axis)], axis=1)
+        A = np.concatenate([J[:, :3], VIEW_LEVER * across @ J[:, 3:]], axis=1)
         At = A.transpose(0, 2, 1)
-        H = At @ A + DAMPING * np.eye(A.shape[2])
+        H = At @ A + VIEWPOINT_DAMPING * np.eye(A.shape[2])
         step = np.linalg.solve(H, At @ e[:, :, None])[:, :, 0]
-        step = np.where(turning, np.clip(step, -LARGEST_STEP, LARGEST_STEP), step)
+        step = np.where(turning, np.clip(step, -LARGEST_VIEW_STEP, LARGEST_VIEW_STEP), step)
         q = np.clip(q + step, low, high)
     return q
 

@@ -9,7 +9,7 @@ import numpy as np
 from aridcal.pages.drawing.figures import EDGES, TICKS, WIDTH, drawn_or_missing, label_below, label_beside
 from aridcal.pages.drawing.plot import (
     INK,
-    LINE,
+    LINE_HEIGHT,
     Area,
     LegendEntry,
     Scale,
@@ -35,7 +35,7 @@ MOST_VALUES = 95.0
 colour."""
 
 # Along the longer side of a field.
-SQUARES = 36
+SQUARES_A_SIDE = 36
 
 LEAST_HEIGHT, LARGEST_HEIGHT = 0.35, 1.1
 """Least and largest height of a plane's picture, in its widths."""
@@ -83,7 +83,7 @@ def field(
         hollow: Of the rows, shape (N,) bool; a dot for which most of them are gets a hole.
         marks: Other points of the plane by their name, shape (M, 2), as rings above the dots.
     """
-    side = max(float(np.ptp(points, axis=0).max()) / SQUARES, 1e-9)
+    side = max(float(np.ptp(points, axis=0).max()) / SQUARES_A_SIDE, 1e-9)
     # Each square by one number, column by column: pairs would have to be sorted, which of a million rows takes a second.
     across, up = (np.floor(points / side) - np.floor(points.min(axis=0) / side)).astype(int).T
     square = across * (int(up.max()) + 1) + up
@@ -110,8 +110,8 @@ def _plane(
     """An area of equal scale in both directions below a colour scale; what stands around it, and the figure's height."""
     (x, y), spans = (scale(points[:, k], 0.05) for k in (0, 1)), np.maximum(1.1 * np.ptp(points, axis=0), 1e-9)
     names, high = legend([LegendEntry(name, INK, "ring") for name in marks], 0.0, WIDTH)
-    top = high + 2 * LINE + 6
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    top = high + 2 * LINE_HEIGHT + 6
+    left = 2 * LINE_HEIGHT + room_for(y, TICKS[1]) - 8
     width = WIDTH - left - EDGES[1]
     height = width * float(np.clip(spans[1] / spans[0], LEAST_HEIGHT, LARGEST_HEIGHT))
     unit_length = max(spans[0] / width, spans[1] / height)  # of values, for one of length

@@ -15,7 +15,7 @@ from aridcal.pages.drawing.plot import (
     EDGE,
     GREY,
     INK,
-    LINE,
+    LINE_HEIGHT,
     Area,
     LegendEntry,
     Scale,
@@ -44,7 +44,7 @@ COLOURS = (AFTER, BEFORE, "#009E73", "#CC79A7", GREY)
 """Colours of several curves in one figure, in their order; of more curves the first ones are drawn."""
 
 # At most so many points are drawn in one cloud.
-POINTS = 500
+MOST_CLOUD_POINTS = 500
 
 # Of a figure, in 1/72 inch: it is legible on a phone, and three stand side by side on a desk.
 WIDTH, WIDE, HEIGHT = 310.0, 634.0, 195.0
@@ -154,7 +154,7 @@ def panels(
         trends: Of each cloud, by the same names.
     """
     top = 1.05 * (max(_reach(v, trends[name] if trends else None) for name, v in values.items()) or 1.0)
-    whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE + 4)
+    whole_area, _ = axes(labels, scale(x, 0.03), Scale(-top, top), (), above=LINE_HEIGHT + 4)
     gap, count = 10.0, len(values)
     each = (whole_area.width - gap * (count - 1)) / count
     made = [label_below(whole_area, labels[0]), label_beside(whole_area, labels[1])]
@@ -327,7 +327,7 @@ def axes(
         width: Of the figure.
         above: Room above the area; None for what the legend needs.
     """
-    left = 2 * LINE + room_for(y, TICKS[1]) - 8
+    left = 2 * LINE_HEIGHT + room_for(y, TICKS[1]) - 8
     entries, high = legend(names, left, width)
     top = above if above is not None else high + 4
     area = Area(left, top, width - left - EDGES[1], HEIGHT - top - EDGES[0], x, y)
@@ -341,19 +341,19 @@ def label_below(area: Area, label: str) -> str:
 
 def label_beside(area: Area, label: str) -> str:
     """The label of a vertical axis."""
-    return text(LINE - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
+    return text(LINE_HEIGHT - 4, area.top + area.height / 2, label, "middle", INK, turned=True)
 
 
 def cloud_caption(count: int) -> str:
     """For the caption of a cloud: how many of its points are drawn; empty where all are."""
-    return f" ({POINTS:,} of {count:,} rows drawn)" if count > POINTS else ""
+    return f" ({MOST_CLOUD_POINTS:,} of {count:,} rows drawn)" if count > MOST_CLOUD_POINTS else ""
 
 
 def _some(count: int) -> np.ndarray:
-    """Which points of a cloud are drawn: of more than :data:`POINTS` a reproducible choice."""
-    if count <= POINTS:
+    """Which points of a cloud are drawn: of more than :data:`MOST_CLOUD_POINTS` a reproducible choice."""
+    if count <= MOST_CLOUD_POINTS:
         return np.arange(count)
-    return np.random.default_rng(0).choice(count, POINTS, replace=False)
+    return np.random.default_rng(0).choice(count, MOST_CLOUD_POINTS, replace=False)
 
 
 def _short(name: str, most: int = 20) -> str:

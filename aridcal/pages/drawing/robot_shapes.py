@@ -28,7 +28,7 @@ from aridcal.system.errors import shortened
 FEWEST_TRIANGLES = 100
 
 # Of a 16-bit number.
-STEPS = 32767
+VERTEX_STEPS = 32767
 
 # Visuals that are drawn, of which each is drawn twice: a humanoid with every screw has a few hundred.
 MOST_SHAPES = 2000
@@ -37,10 +37,10 @@ MOST_SHAPES = 2000
 MOST_TRIANGLES = 4_000_000
 
 # [m] from a joint: beyond it single precision, which browsers draw with, leaves no digit of a robot.
-FARTHEST = 1e6
+FARTHEST_VERTEX = 1e6
 
 # Notices of one robot.
-MOST_NOTICES = 12
+MOST_SHAPE_NOTICES = 12
 
 # Radius of a stick figure's rods as a share of the arm's length; of its balls, in those; [m] of a rod at least.
 THICKNESS, BALL, THINNEST = 0.015, 1.6, 1e-3
@@ -95,8 +95,8 @@ def robot_shapes(robot: Robot) -> tuple[tuple[LinkShape, ...], tuple[str, ...]]:
 def _few(notices: list[str]) -> tuple[str, ...]:
     """Each notice once, and of many the first ones."""
     different = list(dict.fromkeys(notices))
-    rest = len(different) - MOST_NOTICES
-    return tuple(different if rest <= 1 else [*different[:MOST_NOTICES], f"and {rest} more notices of this kind"])
+    rest = len(different) - MOST_SHAPE_NOTICES
+    return tuple(different if rest <= 1 else [*different[:MOST_SHAPE_NOTICES], f"and {rest} more notices of this kind"])
 
 
 def _sound(shape: LinkShape) -> LinkShape:
@@ -105,10 +105,10 @@ def _sound(shape: LinkShape) -> LinkShape:
     Raises:
         NotDrawable: it cannot be drawn.
     """
-    if shape.kind == "mesh" and not (np.abs(shape.vertices) <= FARTHEST).all():
-        raise NotDrawable(f"its mesh reaches beyond {FARTHEST:g} m")
-    if not (np.abs(shape.corners()) <= FARTHEST).all():
-        raise NotDrawable(f"it reaches beyond {FARTHEST:g} m")
+    if shape.kind == "mesh" and not (np.abs(shape.vertices) <= FARTHEST_VERTEX).all():
+        raise NotDrawable(f"its mesh reaches beyond {FARTHEST_VERTEX:g} m")
+    if not (np.abs(shape.corners()) <= FARTHEST_VERTEX).all():
+        raise NotDrawable(f"it reaches beyond {FARTHEST_VERTEX:g} m")
     if shape.kind == "mesh":
         vertices, faces = weld(shape.vertices, shape.faces, TRIANGLES)
         if not len(faces):
@@ -191,7 +191,7 @@ def position_quaternion(T: np.ndarray) -> np.ndarray:
 def stepped(name: str, values: np.ndarray) -> dict[str, Any]:
     """Write small motions (N, 3), [m], as 16-bit steps: there may be many effects, each with a vector for every row."""
     largest = max(float(np.abs(values).max()), 1e-12)
-    step = largest / STEPS
+    step = largest / VERTEX_STEPS
     return {"name": name, "step": step, "moved": packed((values / step).round(), np.int16)}
 
 

@@ -33,13 +33,13 @@ from aridcal.pages.drawing.robot_shapes import packed, position_quaternion, robo
 ASSETS = Path(__file__).parent / "assets"
 
 # At most so many of them can be stepped through.
-ROWS = 200
+MOST_SCENE_ROWS = 200
 
 # Viridis from 0.2 to 1, evenly: its darkest fifth is left out because the page is dark.
 VIRIDIS = ("#414487", "#355f8d", "#2a788e", "#21918c", "#22a884", "#44bf70", "#7ad151", "#bddf26", "#fde725")
 
 # Limbs are told apart by these; those beyond them keep the URDF's colours.
-LIMBS = ("#4f9cf0", "#f08c4f", "#7ccf6b", "#d27bd6")
+LIMB_COLOURS = ("#4f9cf0", "#f08c4f", "#7ccf6b", "#d27bd6")
 
 # Magnifications to choose from.
 LADDER = tuple(m * 10**k for k in range(6) for m in (1, 2, 5))
@@ -62,7 +62,7 @@ RADIANS_PER_SPAN = 4.0
 
 
 # [m] and without unit: a link whose frame moves less stands where it did.
-LEAST_MOTION = 1e-12
+LEAST_SCENE_MOTION = 1e-12
 
 # Bits of a row's flags, as ``scene.js`` reads them.
 TEST, OUTLIER, SCORED = 1, 2, 4
@@ -151,7 +151,7 @@ def scene_content(scene: Scene, shapes: tuple[LinkShape, ...]) -> dict[str, Any]
         shapes: Of the robot.
     """
     n = len(scene.measured)
-    rows = np.unique(np.linspace(0, n - 1, min(n, ROWS)).round().astype(int))
+    rows = np.unique(np.linspace(0, n - 1, min(n, MOST_SCENE_ROWS)).round().astype(int))
     joints = sorted({shape.joint for shape in shapes})
     robots = (scene.nominal, scene.calibrated)
     nominal, calibrated = (body_poses(robot, scene.readings[rows])[:, joints] for robot in robots)
@@ -173,10 +173,11 @@ def scene_content(scene: Scene, shapes: tuple[LinkShape, ...]) -> dict[str, Any]
         "visuals": visuals,
         "bodies": len(joints),
         "limbs": [
-            {"name": name, "colour": colour} for name, colour in zip(limb_names(scene.nominal), LIMBS, strict=False)
+            {"name": name, "colour": colour}
+            for name, colour in zip(limb_names(scene.nominal), LIMB_COLOURS, strict=False)
         ],
         "limb": [limb_of(scene.nominal, scene.nominal.tree.names[joint]) for joint in joints],
-        "corrected": [bool(moves > LEAST_MOTION) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
+        "corrected": [bool(moves > LEAST_SCENE_MOTION) for moves in np.abs(nominal - calibrated).max(axis=(0, 2, 3))],
         "poses": [packed(position_quaternion(T)) for T in (nominal, calibrated)],
         "rows": rows.tolist(),
         "line": (np.arange(1, n + 1) if scene.line is None else scene.line).tolist(),

@@ -31,7 +31,7 @@ LEAST_CORRELATION_SAID = 0.8
 MAIN_SHARE = 0.5
 
 # Measured columns: what they are, and how to change one while all else stays the same.
-COLUMNS = {
+COVARIATE_WORDS = {
     ROW_ORDER: ("the order of the rows", "repeat the same configurations after it, in another order"),
     "time": ("time", "repeat the same configurations hours later, in another order"),
     "temperature": ("temperature", "measure the same configurations cold and warm"),
@@ -39,31 +39,31 @@ COLUMNS = {
 }
 
 # Computed loads, by the end of their names.
-LOADS = {
+LOAD_WORDS = {
     "gravity_torque": "the gravity load on {}",
     "gravity_moment": "the gravity moment on the bearing of {}",
     "payload_torque": "the payload's load on {}",
 }
 
 
-NOT_STATED = "not stated"
+NOT_STATED_WORDS = "not stated"
 
-LONGEST_NAME = 40
+LONGEST_SHOWN_NAME = 40
 """Characters of a name from a file that are shown beside what users state."""
 
 
 def printable_name(name: str) -> str:
     """A name from a file, fit to be shown."""
-    return shortened(printable(name), LONGEST_NAME)
+    return shortened(printable(name), LONGEST_SHOWN_NAME)
 
 
 def certificate_subject(about: About, robot: Robot, m: Dataset) -> Iterator[tuple[str, str]]:
     """Which robot was measured with what, by whom and when: names and what they are."""
     yield "Robot", about.robot or printable_name(robot.tree.name)
-    yield "Serial number", about.serial_number or NOT_STATED
+    yield "Serial number", about.serial_number or NOT_STATED_WORDS
     serial = f", serial number {about.instrument_serial}" if about.instrument_serial else ""
-    yield "Instrument", f"{about.instrument or NOT_STATED}{serial}"
-    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED
+    yield "Instrument", f"{about.instrument or NOT_STATED_WORDS}{serial}"
+    yield "Measured by", ", ".join(filter(None, (about.who, about.organisation))) or NOT_STATED_WORDS
     yield "Measured on", about.date or _date_of_files(m)
 
 
@@ -71,8 +71,8 @@ def _date_of_files(m: Dataset) -> str:
     """That nobody stated a date, and that of the newest file of measurements: a copy has the date of the copying."""
     times = [path.stat().st_mtime for path in m.origin.files if path.is_file()]
     if not times:
-        return NOT_STATED
-    return f"{NOT_STATED} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"
+        return NOT_STATED_WORDS
+    return f"{NOT_STATED_WORDS} (newest file: {datetime.date.fromtimestamp(max(times)).isoformat()})"
 
 
 def sigmas_in_words(sigma: np.ndarray, channels: Channels, times: float = 1.0) -> str:
@@ -355,13 +355,13 @@ def _place(where: str, names: list[str]) -> int:
 def _words(name: str) -> tuple[str, str]:
     """A covariate in words, and how to change it."""
     joint, _, load = name.rpartition(".")
-    for ending, words in LOADS.items():
+    for ending, words in LOAD_WORDS.items():
         if joint and load.startswith(ending):
             return words.format(joint), f"keep {joint} where it is, and stretch, fold or load the arm beyond it"
     if name.endswith("_direction"):
         joint = name.removesuffix("_direction")
         return f"the direction in which {joint} approached", "reach the same configurations from both sides"
-    for column, (words, how) in COLUMNS.items():
+    for column, (words, how) in COVARIATE_WORDS.items():
         if name == column:
             return words, how
         if name.startswith(f"{column}_"):

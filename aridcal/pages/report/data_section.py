@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.instruments.kinds import KINDS, labelled
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS, labelled
 from aridcal.engine.rows.dataset import Dataset
 from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.key_figures import QUESTIONABLE_OUTLIERS, JointRange, joint_ranges, row_errors
@@ -81,7 +81,7 @@ def _blocks(outcome: Outcome) -> Markup:
         last = first + len(block.channels)
         counts = [own, own & parts["train"], own & parts["test"], own & outcome.outlier]
         noise = sigmas_in_words(outcome.noise[first:last], block.channels)
-        lines.append([block.name, KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
+        lines.append([block.name, MEASUREMENT_KINDS[block.kind].words, *(f"{mask.sum():,}" for mask in counts), noise])
         first = last
     head = ["block", "measures", "rows", "fitted", "held out", "outliers", "noise of each number"]
     return table(head, lines, "Rows of each block", numbers=2)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from aridcal.engine.search.noise_tests import SURE
+from aridcal.engine.search.noise_tests import FALSE_ALARM
 from aridcal.engine.search.residual_trends import Course, Order, Trace
 from aridcal.engine.trust.gains import Diagnosis
 from aridcal.jobs.calibrate.key_figures import (
@@ -48,7 +48,7 @@ def _noise_tests(diagnosis: Diagnosis) -> Iterator[Content]:
     """Tests of the final model's residual."""
     lines = []
     for clue in diagnosis.clues:
-        answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < SURE else "no"
+        answer = "yes" if clue.tells else "yes, but too little to matter" if clue.p_value < FALSE_ALARM else "no"
         lines.append([clue.what, f"{100 * clue.share:.0f} %", p_in_words(clue.p_value), answer])
     if lines:
         head = ["sign of structure", "share of the variance", "p-value", "significant"]
@@ -107,7 +107,7 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
             cloud_caption(len(trace.seen)),
         ]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
-    waving = sum(corrected(trace.after.p_value, len(traces)) <= SURE for trace in traces)
+    waving = sum(corrected(trace.after.p_value, len(traces)) <= FALSE_ALARM for trace in traces)
     title = f"Remaining error as an error of each joint: {waving or 'none'} of {len(traces)} {_are(waving)} significant"
     yield fold(title, said, figures(drawn))
 
@@ -123,7 +123,7 @@ def _in_words(outcome: Outcome, trace: Trace, tests: int) -> str:
 def _size_in_words(trace: Trace, course: Course, tests: int) -> str:
     """A repeatable part with its p-value, corrected for the number of those asked about."""
     p = corrected(course.p_value, tests)
-    if p > SURE:
+    if p > FALSE_ALARM:
         return f"nothing significant (p = {p_in_words(p)})"
     return f"{_size(trace, course)} RMS repeatable (p {'' if p < 1e-100 else '= '}{p_in_words(p)})"
 

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.corrections.basis import Basis
-from aridcal.engine.corrections.catalogue import KINDS
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS
 from aridcal.engine.corrections.effect import ANGULAR, Coefficient, Effect
 from aridcal.engine.corrections.labels import label_in
 from aridcal.engine.corrections.regional_kind import is_field, is_of_labels, labels_of
@@ -61,7 +61,7 @@ def _gains(outcome: Outcome) -> Markup:
     for e in outcome.effects:
         name: list[Content] = [e.effect.label]
         if e.effect.kind not in explained:
-            name += [tag("br"), tag("em", KINDS[e.effect.kind].words)]
+            name += [tag("br"), tag("em", EFFECT_KINDS[e.effect.kind].words)]
             explained.add(e.effect.kind)
         if e.effect.at is not None:
             name += [tag("br"), step_in_words(e.effect, outcome.measurements)]

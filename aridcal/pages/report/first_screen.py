@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.corrections.catalogue import KINDS, is_of_head
+from aridcal.engine.corrections.catalogue import EFFECT_KINDS, is_of_head
 from aridcal.engine.fit.noise import WORTH_SAYING
 from aridcal.engine.search.noise_tests import Clue
 from aridcal.files.purposes import About
@@ -42,7 +42,7 @@ from aridcal.pages.drawing.page_frame import card
 from aridcal.pages.drawing.parts import division_in_words, p_of_halves, size_in_words, zero_in_words
 from aridcal.pages.drawing.words import (
     NOT_FOR_A_CONTROLLER,
-    NOT_STATED,
+    NOT_STATED_WORDS,
     at_target_in_words,
     causes_in_words,
     certificate_subject,
@@ -55,7 +55,7 @@ from aridcal.pages.drawing.words import (
 )
 from aridcal.system.wording import number, plural
 
-NO_BETTER = " No model can reliably do better."
+NO_RELIABLE_MODEL = " No model can reliably do better."
 BELOW = (
     " The remaining error is smaller than {}, so that is no floor: it is stated too large, or was measured otherwise."
 )
@@ -72,15 +72,15 @@ LINKED = {
 NOT_READY = {"calibrated.urdf": "not for a controller", "calibration.yaml": "the whole model"}
 """What these files are for where there are too few data."""
 
-GIVEN = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
+GIVEN_MODELS = {"nominal": "as built", "geometric": "with the URDF", "final": "with compensation"}
 """Models by what a customer is given of them."""
 
 OF_THE_TARGET = ("position", "rotation")
 """Channels that say how far the target is from where the controller sent it."""
 
 MOST_BARS = 7
-MOST_CAUSES = 3
-MOST_NAMES = 3
+MOST_SHOWN_CAUSES = 3
+MOST_NAMED_EFFECTS = 3
 
 # Share of the squared error below which only its smallness is told.
 LEAST_SHARE_SHOWN = 1e-3
@@ -133,9 +133,9 @@ def _who_and_what(outcome: Outcome) -> Iterator[Content]:
     facts = dict(certificate_subject(about, outcome.robot, outcome.measurements))
     if not about.robot:
         del facts["Robot"]  # its name is the title
-    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED]
+    stated = [f"{name}: {said}" for name, said in facts.items() if said != NOT_STATED_WORDS]
     yield f"{' · '.join(stated)}. "
-    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED]
+    rest = [name.lower() for name, said in facts.items() if said == NOT_STATED_WORDS]
     if rest:
         yield "Not stated, under "
         yield tag("code", "about:")
@@ -223,7 +223,7 @@ def _bars(scores: list[tuple[ModelStep, float]], unit: str) -> Markup:
 def _name(step: ModelStep) -> str:
     """Name of a model, as a customer knows it; what equals the whole model keeps its other name."""
     names = step.names[:-1] if len(step.names) > 1 and step.names[-1] == "final" else step.names
-    return " = ".join(GIVEN.get(name, name) for name in names)
+    return " = ".join(GIVEN_MODELS.get(name, name) for name in names)
 
 
 def _causes(outcome: Outcome) -> Iterator[Content]:
@@ -262,9 +262,9 @@ def _shares_in_words(
         shares: Steps with their shares of the squared error, the largest first.
         corrections: How many geometric corrections were identified.
     """
-    meanings = {e.effect.label: f"{KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
+    meanings = {e.effect.label: f"{EFFECT_KINDS[e.effect.kind].words}{or_as_well(e)}" for e in outcome.effects}
     explained = set()
-    for step, share in shares[:MOST_CAUSES]:
+    for step, share in shares[:MOST_SHOWN_CAUSES]:
         geometric = "geometric" in step.names
         who = _corrections_in_words(corrections) if geometric else step.effect or "the final fit"
         meaning = "" if geometric else meanings.get(step.effect, "")
@@ -272,7 +272,7 @@ def _shares_in_words(
             explained.add(meaning)
             who = f"{who} ({meaning})"
         yield _percent(share), who
-    rest = [share for _, share in shares[MOST_CAUSES:]]
+    rest = [share for _, share in shares[MOST_SHOWN_CAUSES:]]
     if rest:
         yield _percent(sum(rest)), plural(len(rest), "further correction")
 
@@ -318,13 +318,15 @@ def _noise(outcome: Outcome) -> str:
     whose, all_of_it = (" of the instrument", "with all that scatters ") if more else ("", "")
     in_all = f", {all_of_it}{noise_in_words(outcome, outcome.scatter)}" if more or outcome.measurements.direct else ""
     if outcome.noise_source == "declared":
-        floor = NO_BETTER if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
+        floor = NO_RELIABLE_MODEL if _is_floor(outcome, outcome.noise) else BELOW.format("the declared noise")
         return f"Declared noise{whose}: {per_axis}{in_all}.{floor}"
     said = f"Noise{whose} estimated from the residuals: {per_axis}{in_all}."
     if outcome.repeats is None:
         return said
     repeats = f" Repeats scatter by {noise_in_words(outcome, outcome.repeats.sigma)}."
-    floor = NO_BETTER if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    floor = (
+        NO_RELIABLE_MODEL if _is_floor(outcome, outcome.repeats.sigma) else BELOW.format("the scatter of the repeats")
+    )
     return f"{said}{repeats}{floor}"
 
 
@@ -355,9 +357,9 @@ def checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:
         yield verified
     narrow = [j.name for j in narrow_joints(outcome)]
     if narrow:
-        rest = len(narrow) - MOST_NAMES
+        rest = len(narrow) - MOST_NAMED_EFFECTS
         more = f" and {rest} more" if rest > 0 else ""
-        yield False, f"Less than half of the range was measured of {', '.join(narrow[:MOST_NAMES])}{more}."
+        yield False, f"Less than half of the range was measured of {', '.join(narrow[:MOST_NAMED_EFFECTS])}{more}."
 
 
 def _row_checks(outcome: Outcome) -> Iterator[tuple[bool, str]]:

@@ -18,7 +18,7 @@ from aridcal.pages.report.data_section import row_table
 from aridcal.pages.report.second_look_section import halves, left_out_section
 from aridcal.system.wording import number, plural, reading_in_words
 
-PARTS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
+PART_WORDS = {"test": "held out", "train": "fitted", "test_all": "held out, with outliers"}
 STATISTIC_NAMES = dict(zip(STATISTICS, ("RMS", "mean", "median", "95 % below", "max"), strict=True))
 MOST_WORST = 5
 
@@ -60,7 +60,7 @@ def _error_tables(outcome: Outcome) -> Iterator[Content]:
     parts = {name: mask for name, mask in outcome.parts().items() if mask.any()}
     if not (parts.get("test_all", outcome.outlier) & outcome.outlier).any():
         parts.pop("test_all", None)
-    shown = {name: title for name, title in PARTS.items() if name in parts}
+    shown = {name: title for name, title in PART_WORDS.items() if name in parts}
     _, *other_titles = STATISTIC_NAMES.values()
     head = ["model"]
     for title in shown.values():

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from aridcal.engine.fit.constants import has_world
-from aridcal.engine.instruments.kinds import KINDS
+from aridcal.engine.instruments.kinds import MEASUREMENT_KINDS
 from aridcal.engine.instruments.pixels import ON_TIP
 from aridcal.jobs.calibrate.instrument_results import ThingValue, known_scale_sigma
 from aridcal.jobs.calibrate.key_figures import row_errors
@@ -21,7 +21,7 @@ from aridcal.system.wording import number, plural, plus_minus, shown_unit
 MOST_THINGS = 40
 """Lines of a table of things: result.json has them all."""
 
-MOST_NAMES = 12
+MOST_NAMED_CONSTANTS = 12
 """Constants that are named in a sentence."""
 
 CONSISTENCY = (
@@ -66,7 +66,7 @@ def instruments(outcome: Outcome) -> Iterator[Content]:
     kinds = dict.fromkeys(block.kind for block in m.blocks)
     scaled = known_scale_sigma(m) not in (None, np.inf)
     more = MORE | (MORE_WITH_SCALE if scaled else {})
-    lines = [[KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
+    lines = [[MEASUREMENT_KINDS[kind].words, BLIND[kind], more[kind]] for kind in kinds if kind in BLIND]
     if lines:
         shown = table(["instrument", "cannot tell", "what would"], lines, "By kind of measurement", numbers=3)
         yield fold("What these instruments cannot tell, and what would", shown)
@@ -111,10 +111,10 @@ def _things(outcome: Outcome, role: str, values: list[ThingValue]) -> Iterator[C
     yield fold(plural(len(things), role), parts)
     lost = [f"{v.name}.{v.component}" for v in values if v.status == "redundant"]
     if lost:
-        rest = len(lost) - MOST_NAMES
+        rest = len(lost) - MOST_NAMED_CONSTANTS
         yield tag(
             "p",
-            f"No row tells {plural(len(lost), 'number')} of them apart from the rest: ", codes(lost[:MOST_NAMES]),
+            f"No row tells {plural(len(lost), 'number')} of them apart from the rest: ", codes(lost[:MOST_NAMED_CONSTANTS]),
             f" and {rest:,} more" if rest > 0 else "", ". They stay where they began.", class_="look",
         )  # fmt: skip
 
@@ -152,7 +152,7 @@ def _own_errors(outcome: Outcome, role: str) -> tuple[dict[str, tuple[float, int
     errors: dict[str, tuple[float, int, int]] = {}
     unit = ""
     for b, (block, channel) in enumerate(zip(m.blocks, leading(m), strict=True)):
-        names = [each.name for each in KINDS[block.kind].roles]
+        names = [each.name for each in MEASUREMENT_KINDS[block.kind].roles]
         if role not in names:
             continue
         unit = outcome.channels[channel].shown

@@ -12,11 +12,11 @@ from aridcal.engine.trust.iso9283 import (
     ASKED_HOURS,
     ASKED_POSES,
     ENOUGH_CYCLES,
+    ISO_ROTATIONS,
     MEANINGS,
     OF_FIT,
     OF_PAIRS,
     STANDARD,
-    TURNS,
     Iso9283,
     applies,
 )
@@ -82,10 +82,10 @@ def lines(figures: Iso9283) -> list[tuple[str, str, str, str, str]]:
         before, after = _worst(figures, symbol)
         if not np.isnan(after):
             rows.append((symbol, f"{meaning} ({clause})", of, f"{number(before)} mm", f"{number(after)} mm"))
-        turns = [_worst(figures, f"{symbol}_{axis}") for axis in TURNS if f"{symbol}_{axis}" in figures.final]
+        turns = [_worst(figures, f"{symbol}_{axis}") for axis in ISO_ROTATIONS if f"{symbol}_{axis}" in figures.final]
         if turns and not np.isnan(turns).any():
             first, last = (", ".join(number(turn[k]) for turn in turns) for k in (0, 1))
-            about = f"{symbol} {', '.join(TURNS)}"
+            about = f"{symbol} {', '.join(ISO_ROTATIONS)}"
             rows.append((about, f"orientation {meaning} ({clause})", of, f"{first} mrad", f"{last} mrad"))
     return rows
 

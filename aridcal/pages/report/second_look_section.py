@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from markupsafe import Markup
 
-from aridcal.engine.levels import BLOCKS
+from aridcal.engine.levels import JUDGING_FOLDS
 from aridcal.engine.trust.combinations import Combination, Identifiability
-from aridcal.engine.trust.cross_validation import DECIDES, Influence
+from aridcal.engine.trust.cross_validation import DECIDING_SHIFT, Influence
 from aridcal.engine.trust.halves import Halves
 from aridcal.jobs.calibrate.instrument_results import known_scale_sigma
 from aridcal.jobs.calibrate.outcome import Outcome
@@ -24,7 +24,7 @@ from aridcal.pages.drawing.parts import (
 from aridcal.pages.report.data_section import row_place
 from aridcal.system.wording import number, plural
 
-MOST_ROWS = 5
+MOST_INFLUENTIAL_ROWS = 5
 MOST_PAIRS = 5
 AT_AN_END = 4
 """Combinations that are shown at either end of the list."""
@@ -86,7 +86,8 @@ def left_out_section(outcome: Outcome) -> Iterator[Content]:
     if looked.folds is not None:
         said = tag(
             "p",
-            f"{BLOCKS} parts of the fitted rows are predicted in turn by a fit to the other parts. The effects stay the same.",
+            f"{JUDGING_FOLDS} parts of the fitted rows are predicted in turn by a fit to the other parts. The effects stay the "
+            f"same.",
         )
         channels = [(k, c) for k, c in enumerate(outcome.channels) if not c.inner]
         lines = []
@@ -111,15 +112,17 @@ def _influence(outcome: Outcome, influence: Influence) -> Markup:
     own = f"the target is known to {number(1e3 * influence.sigma, 2)} mm (1σ, three axes)"
     what = "Each row is left out, all others are fitted: how far does the predicted target move, RMS over all rows? "
     if count:
-        title = f"{plural(count, 'row')} {'moves' if count == 1 else 'move'} the target by more than {DECIDES:g}σ"
+        title = (
+            f"{plural(count, 'row')} {'moves' if count == 1 else 'move'} the target by more than {DECIDING_SHIFT:g}σ"
+        )
         said = tag("p", f"{what}{largest}; {own}. Measure near these again.", class_="look")
     else:
-        title = f"No single row moves the target by more than {DECIDES:g}σ"
+        title = f"No single row moves the target by more than {DECIDING_SHIFT:g}σ"
         said = tag("p", f"{what}{largest}; {own}.")
     m = outcome.measurements
     train = np.flatnonzero(m.train)
     lines = []
-    for i in range(min(MOST_ROWS, len(influence.rows))):
+    for i in range(min(MOST_INFLUENTIAL_ROWS, len(influence.rows))):
         k = int(train[influence.rows[i]])
         shift, share = (
             1e3 * float(influence.shift[i]),

@@ -34,7 +34,7 @@ class Limit:
 URDF = Limit(20, "urdf_mb")
 """Text alone, without meshes: that of a humanoid with hands takes 0.3 MB."""
 
-TABLE = Limit(500, "table_mb")
+TABLE_LIMIT = Limit(500, "table_mb")
 """A million rows of 24 numbers with all their digits; read, it takes some three times as much memory."""
 
 IMAGE = Limit(100, "image_mb")
@@ -49,7 +49,7 @@ CALIBRATION = Limit(50)
 RESULT = Limit(500)
 """Pages and figures of a result folder, meshes included."""
 
-KINDS = (
+SPECIAL_FILES = (
     (stat.S_ISFIFO, "a pipe"),
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"),
@@ -95,7 +95,7 @@ def _check_regular(status: os.stat_result, name: str, error: type[AridcalError],
     if stat.S_ISDIR(status.st_mode):
         raise error(f"{name}: is a folder, not a file; name a file in it")
     if not stat.S_ISREG(status.st_mode):
-        kind = next((kind for is_kind, kind in KINDS if is_kind(status.st_mode)), "no regular file")
+        kind = next((kind for is_kind, kind in SPECIAL_FILES if is_kind(status.st_mode)), "no regular file")
         raise error(f"{name}: is {kind}; only regular files are read: save its content as a file")
     if status.st_size > limit.megabytes * MEGA:
         size = status.st_size / MEGA

@@ -22,7 +22,7 @@ from aridcal.system.reading.user_names import check_name
 FIRST_LINE = 2
 
 # What a header is not made of.
-NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
+NUMBER_CELL = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 
 # Columns that pandas adds to a parquet file for the index of a DataFrame.
 PANDAS_INDEX = re.compile(r"__index_level_\d+__")
@@ -88,7 +88,7 @@ def check_header(names: list[str], path: Path) -> None:
     """
     if not any(names):
         raise MeasurementError(f"{path}: line 1 is empty; it should name the columns")
-    if all(NUMBER.fullmatch(name) for name in names):
+    if all(NUMBER_CELL.fullmatch(name) for name in names):
         raise MeasurementError(f"{path}: line 1 holds numbers; it should name the columns")
     _check_columns(names, path)
 

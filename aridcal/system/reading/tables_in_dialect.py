@@ -29,7 +29,7 @@ MOST_NUMBERS = 0.5
 FILLED = re.compile(r"^.*\S.*$", re.MULTILINE)
 """A line that is not blank."""
 
-WORD = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
+BLANK_SEPARATED_CELL = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 """A cell between blanks; one in quotes may hold some."""
 
 
@@ -50,7 +50,7 @@ def read_in_dialect(content: bytes, path: Path, limit: Limit, dialect: Dialect, 
         MeasurementError: it is written otherwise, is too large, or has no rows.
     """
     separator = dialect.separator
-    if path.suffix.lower() in workbooks.ENDINGS:
+    if path.suffix.lower() in workbooks.WORKBOOK_ENDINGS:
         content, separator = workbooks.as_csv(content, path, limit, dialect.sheet, dialect.decimal), ","
         text = content.decode()
     else:
@@ -117,7 +117,7 @@ def split_line(line: str, separator: str) -> list[str]:
     if not line.strip():
         return []
     if separator == BLANKS:
-        cells = [cell.strip('"') for cell in WORD.findall(line)]
+        cells = [cell.strip('"') for cell in BLANK_SEPARATED_CELL.findall(line)]
     else:
         try:
             cells = next(csv.reader([line.replace("\0", " ")], delimiter=separator), [])
@@ -173,7 +173,7 @@ def joined_header(rows: Sequence[Sequence[str]]) -> list[str]:
     return names
 
 
-UNIT = re.compile(
+UNIT_CELL = re.compile(
     r"[\[(]?\s*(?:rad|radians?|deg|degrees?|°|m|cm|mm|um|µm|in|inch|ft|s|sec|seconds?|ms|us|ns|°c|c|kg|n|nm|hz|-|1|%|v|a)\s*[\])]?",
     re.IGNORECASE,
 )
@@ -183,7 +183,9 @@ UNIT = re.compile(
 def is_units(row: Sequence[str]) -> bool:
     """True of a line of units."""
     filled = [cell for cell in row if cell]
-    return bool(filled) and all(UNIT.fullmatch(cell) for cell in filled) and not all(c in ("-", "1") for c in filled)
+    return (
+        bool(filled) and all(UNIT_CELL.fullmatch(cell) for cell in filled) and not all(c in ("-", "1") for c in filled)
+    )
 
 
 def strip_comment(line: str, comment: Collection[str]) -> str:
@@ -201,7 +203,7 @@ def _rows(text: str, comment: Collection[str], separator: str) -> str:
         marks = "|".join(re.escape(mark) for mark in comment)
         text = re.sub(rf"^[^\S\n]*(?:{marks})[^\n]*", "", text, flags=re.MULTILINE)
     if separator == BLANKS:
-        return "\n".join("\t".join(WORD.findall(line)) for line in text.split("\n"))
+        return "\n".join("\t".join(BLANK_SEPARATED_CELL.findall(line)) for line in text.split("\n"))
     return text
 
 

@@ -40,7 +40,7 @@ SENSES = {
 }
 """Which way the maker's axes turn, as :attr:`Anatomy.senses` has them."""
 
-WITNESSES = 3
+LEAST_WITNESSES = 3
 """Poses whose words speak against the zeros, at least: one or two are a slip of a pen. Of joint targets one beyond the limits is
 enough, for none of them could ever have been driven."""
 
@@ -51,10 +51,10 @@ poses agree by chance, and twice as many would not be spread evenly; quarters of
 COPIED = 0.1
 """The share of poses whose words may not agree with the right zeros: linear moves do not ask for them, and nobody mends them."""
 
-ENOUGH = 100
+MOST_WITNESS_POSES = 100
 """Poses that are looked at: more say the same."""
 
-LOOSE = 1.0
+LIMIT_TOLERANCE = 1.0
 """Degrees or millimetres beyond a limit that a description's rounding explains."""
 
 
@@ -145,7 +145,10 @@ class _Witnesses:
         axes = self.cell.axes
         units = np.array([axes.unit(k, DEGREE, MILLIMETRE) for k in axes.arm])
         low, high = (self.cell.robot.limits[list(axes.arm)] / units[:, None] + np.array(zeros)[:, None]).T
-        return [bool(np.all(np.isnan(q) | ((q >= low - LOOSE) & (q <= high + LOOSE)))) for q in self.joints]
+        return [
+            bool(np.all(np.isnan(q) | ((q >= low - LIMIT_TOLERANCE) & (q <= high + LIMIT_TOLERANCE))))
+            for q in self.joints
+        ]
 
 
 def _fits(words: Posture, q: np.ndarray, cell: Cell) -> bool:
@@ -161,7 +164,9 @@ def _turned(q: np.ndarray, cell: Cell) -> Iterator[np.ndarray]:
     for turns in itertools.product((0.0, math.tau, -math.tau), repeat=len(turning)):
         other = q.copy()
         other[turning] += turns
-        if (other >= limits[:, 0] - LOOSE * DEGREE).all() and (other <= limits[:, 1] + LOOSE * DEGREE).all():
+        if (other >= limits[:, 0] - LIMIT_TOLERANCE * DEGREE).all() and (
+            other <= limits[:, 1] + LIMIT_TOLERANCE * DEGREE
+        ).all():
             yield other
 
 
@@ -186,13 +191,13 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
         (target.branch.words.texts, stands)
         for target, stands in zip(targets, positions, strict=True)
         if target.branch.words is not None and isinstance(target.branch.words.texts, Posture) and len(stands)
-    ][:ENOUGH]
+    ][:MOST_WITNESS_POSES]
     joints = [_shown(target, cell) for target in targets if target.form == "joints" and target.readings is not None]
     witnesses = _Witnesses(cell, poses, joints)
     as_is = cell.axes.zeros or (0.0,) * len(off)
     meant = tuple(float(zero) for zero in np.array(as_is) + off)
     agreeing, within = witnesses.agree(as_is), witnesses.within(as_is)
-    spoken = len(poses) - sum(agreeing) >= WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
+    spoken = len(poses) - sum(agreeing) >= LEAST_WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
     if not spoken and all(within):
         return ""
     if sum(witnesses.agree(meant)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(meant)):
@@ -253,10 +258,10 @@ def witnesses(targets: Sequence[Target], contradicted: int, cell: Cell) -> tuple
     ]
     low, high = cell.robot.limits.T
     readings = np.array([target.readings for target in joints]).reshape(-1, len(low))
-    if contradicted < WITNESSES and not ((readings < low) | (readings > high)).any():
+    if contradicted < LEAST_WITNESSES and not ((readings < low) | (readings > high)).any():
         return [], []
     poses = [target for target in targets if target.branch.words is not None and not target.why]
-    chosen = np.unique(np.linspace(0, len(poses) - 1, ENOUGH).astype(int)).tolist() if poses else []
+    chosen = np.unique(np.linspace(0, len(poses) - 1, MOST_WITNESS_POSES).astype(int)).tolist() if poses else []
     return [poses[k] for k in chosen], joints
 
 

@@ -22,47 +22,47 @@ from aridcal.engine.model.model import Model
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.robot.kinematics import tip_frames
 
-EXACT = 1e-7
+REACHED_TOLERANCE = 1e-7
 """What counts as reached of the nominal arm, [m] and [rad]: far below what any arm repeats."""
 
 STARTS = 60
 """Drawn over the joints' ranges: four of five come to a pose, so that each of the eight positions of a six-axis arm is missed by
 all of them two times in a thousand."""
 
-FEW = 6
+FIRST_BRANCHES = 6
 """Of them, for a first look at what other positions there are: half of an arm's eight, as a rule."""
 
 AROUND, KICK = 6, 0.3
 """Starts close by, and how far they are, [rad] or [m]: with an elbow nearly straight a search may end on its other side, which is
 further away, and one from there on the nearer."""
 
-SAME = 1e-4
+SAME_POSITION = 1e-4
 """Readings that differ by less are the same position of the arm, [rad] or [m]."""
 
-SETTLED = 1e-6
+UNMOVED_READING = 1e-6
 """Readings that differ by less are those from before: far more than what a search rounds, [rad] or [m]."""
 
-CLOSE = 8.0
+SAME_BRANCH_FACTOR = 8.0
 """Times the way within which no other position can be: a search that starts where the arm comes from and ends so close by is
 trusted not to have passed one, which must be on its way then."""
 
-FAR = 2.0
+FAR_START = 2.0
 """[rad] or [m], all joints together: what comes from further away may come to any position, so that all are looked for."""
 
 SPREAD, FURTHEST, UPHILL = 500, 20, 40
 """Configurations from which the arm's reach is sought, how many of them go uphill, and in how many steps: twice as many of each
 change it by less than a thousandth."""
 
-BEYOND_REACH = 1.01
+REACH_FACTOR = 1.01
 """Times that reach beyond which nothing is looked for: what the search for it may lack, ten times over."""
 
-WIDE = np.pi
+UNLIMITED_START = np.pi
 """Joints without limits are started within half a turn, [rad] or [m]."""
 
 TURN = 2.0 * np.pi
 """Once round, [rad]."""
 
-TURNS = (-2, -1, 0, 1, 2)
+WHOLE_TURNS = (-2, -1, 0, 1, 2)
 """Whole turns by which joints are turned to agree with words: controllers count no more."""
 
 QUICK = 8
@@ -99,7 +99,9 @@ def controller(robot: Robot) -> InverseKinematics:
     """Inverse kinematics of the nominal arm for one pose, from base to tip."""
     low, high = robot.limits.T
     turning = np.array([kind != "prismatic" for kind in robot.kinds])
-    return InverseKinematics(OneRowModel(Model(robot, ()), np.zeros(0)), low, high, turning, True, (EXACT, EXACT))
+    return InverseKinematics(
+        OneRowModel(Model(robot, ()), np.zeros(0)), low, high, turning, True, (REACHED_TOLERANCE, REACHED_TOLERANCE)
+    )
 
 
 Memory = dict[bytes, np.ndarray]
@@ -184,15 +186,17 @@ class Controller:
             out = p - self.robot.onward[0].translation
             far = np.linalg.norm(out, axis=1)
             furthest = np.argsort(far)[-FURTHEST:]
-            way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, EXACT)[:, None])[furthest]
-            q = np.clip(q[furthest] + way / max(float(far.max()), EXACT), self.inverse.low, self.inverse.high)
+            way = np.einsum("nij,ni->nj", J[:, :3], out / np.maximum(far, REACHED_TOLERANCE)[:, None])[furthest]
+            q = np.clip(
+                q[furthest] + way / max(float(far.max()), REACHED_TOLERANCE), self.inverse.low, self.inverse.high
+            )
         return float(far.max())
 
     def too_far(self, wanted: np.ndarray) -> np.ndarray:
         """Poses that are further away than the arm gets, whatever its joints do, shape (n,)."""
         apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.onward[0].translation, axis=1)
         drawn_out = ~self.inverse.turning & ~np.isfinite(self.inverse.high - self.inverse.low)
-        return np.asarray((apart > BEYOND_REACH * self.reach) & (not drawn_out.any()))
+        return np.asarray((apart > REACH_FACTOR * self.reach) & (not drawn_out.any()))
 
     @cached_property
     def unlimited(self) -> InverseRows:
@@ -213,7 +217,7 @@ class Controller:
         return found.readings, self._there(found), found.J
 
     def _there(self, found: SearchEnd) -> np.ndarray:
-        allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else EXACT
+        allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else REACHED_TOLERANCE
         off = np.maximum(np.linalg.norm(found.error[:, :3], axis=1), np.linalg.norm(found.error[:, 3:], axis=1))
         return np.asarray(off < allowed)
 
@@ -237,17 +241,17 @@ class Controller:
         every = np.arange(len(poses))
         searched = np.array([poses.key(k) in memory for k in every.tolist()], dtype=bool) if memory else every < 0
         left, far = every[~searched], searched.copy()
-        for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, CLOSE)):
+        for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, SAME_BRANCH_FACTOR)):
             some, at = poses[left], near[left]
             q, reached, J = self.settle(some.wanted, seeds[left], some.held, steps)
             q = self._turned_towards(q, at, some.held)
-            inside = ((q >= self.inverse.low - SAME) & (q <= self.inverse.high + SAME)).all(axis=1)
+            inside = ((q >= self.inverse.low - SAME_POSITION) & (q <= self.inverse.high + SAME_POSITION)).all(axis=1)
             ok = reached & inside & self._alone(q, at, J, some.held, close)
             for k in np.flatnonzero(ok).tolist():
                 fits = some.fits[k]
                 ok[k] = fits is None or fits(q[k])
             found[left[ok]], there[left[ok]] = q[ok], True
-            far[left] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR)
+            far[left] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR_START)
             left = left[~ok]
         self._around(poses, near, left[~far[left]], found, there)
         self._everywhere(poses, near, every[~there], found, there, memory)
@@ -303,7 +307,7 @@ class Controller:
         for end in ends:
             off = np.array(kept).reshape(-1, len(end)) - end
             off -= TURN * np.where(self.inverse.turning, np.round(off / TURN), 0.0)
-            if not (np.abs(off).max(axis=1) < SAME).any():
+            if not (np.abs(off).max(axis=1) < SAME_POSITION).any():
                 kept.append(end)
         return np.array(kept).reshape(-1, ends.shape[1])
 
@@ -319,7 +323,9 @@ class Controller:
     ) -> None:
         """Take the nearest position of each row that some searches (rows, tries, columns) ended at."""
         nearest = self._turned_towards(ends, near[rows][:, None], poses.held[rows][:, None])
-        inside = np.all((nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME), axis=2)
+        inside = np.all(
+            (nearest >= self.inverse.low - SAME_POSITION) & (nearest <= self.inverse.high + SAME_POSITION), axis=2
+        )
         away = np.where(reached, np.sum((nearest - near[rows][:, None]) ** 2, axis=2), np.inf)
         for k, own, ok, sure, way, turned in zip(rows.tolist(), ends, reached, inside, away, nearest, strict=True):
             best = int(way.argmin()) if len(way) else 0
@@ -341,7 +347,7 @@ class Controller:
 
     def _drawn(self, n: int, count: int) -> np.ndarray:
         """Starts over the joints' ranges, the same for each of n rows, shape (n, count, columns); once round is enough."""
-        low, high = np.maximum(self.inverse.low, -WIDE), np.minimum(self.inverse.high, WIDE)
+        low, high = np.maximum(self.inverse.low, -UNLIMITED_START), np.minimum(self.inverse.high, UNLIMITED_START)
         low, high = np.where(low < high, low, self.inverse.low), np.where(low < high, high, self.inverse.high)
         drawn = low + (high - low) * np.random.default_rng(1).random((count, len(low)))
         return np.broadcast_to(drawn, (n, *drawn.shape))
@@ -409,7 +415,7 @@ class Controller:
         rows = np.arange(start, end)
         for _ in range(SWEEPS):
             new = self._anew(chain, before, rows, q, there, memory)
-            other = self._apart(new, q[rows], chain.poses.held[rows]) > SETTLED
+            other = self._apart(new, q[rows], chain.poses.held[rows]) > UNMOVED_READING
             q[rows] = new
             follow = rows[other] + 1
             rows = follow[(follow < end) & chain.depends[np.minimum(follow, len(q) - 1)]]
@@ -448,7 +454,7 @@ class Controller:
         A search that starts a whole turn further ends a whole turn further, so that no target is worked out anew for turns, but
         where a limit is in the way or words count turns.
         """
-        low, high = self.inverse.low - SAME, self.inverse.high + SAME
+        low, high = self.inverse.low - SAME_POSITION, self.inverse.high + SAME_POSITION
         for k in range(self._first_unwound(chain, before, start, end, q, there), end):
             come = q[k - 1] if k else before
             if chain.joints[k] or not there[k]:
@@ -457,7 +463,7 @@ class Controller:
                 continue
             near = np.where(np.isnan(chain.near[k]), come, chain.near[k])
             turned = self._turned_towards(q[k], near, chain.poses.held[k])
-            if np.abs(turned - q[k]).max() < SETTLED:
+            if np.abs(turned - q[k]).max() < UNMOVED_READING:
                 continue
             fits = chain.poses.fits[k]
             if ((turned >= low) & (turned <= high)).all() and fits is None:
@@ -465,7 +471,7 @@ class Controller:
                 continue
             row = np.array([k])
             new = self._anew(chain, before, row, q, there, memory)
-            other = self._apart(new, q[row], chain.poses.held[row])[0] > SETTLED
+            other = self._apart(new, q[row], chain.poses.held[row])[0] > UNMOVED_READING
             q[k] = new[0]
             if other:
                 return k + 1
@@ -481,7 +487,7 @@ class Controller:
         posed = np.where(there[rows][:, None], self._turned_towards(q[rows], near, chain.poses.held[rows]), come)
         given = np.where(np.isnan(chain.given[rows]), come, chain.given[rows])
         follows = np.where(chain.joints[rows][:, None], given, posed)
-        other = np.abs(follows - q[rows]).max(axis=1, initial=0.0) > SETTLED
+        other = np.abs(follows - q[rows]).max(axis=1, initial=0.0) > UNMOVED_READING
         return int(rows[other.argmax()]) if other.any() else end
 
     # --- all positions --------------------------------------------------------------------------------------------------
@@ -513,7 +519,7 @@ class Controller:
     def _turned(self, q: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> np.ndarray | None:
         """The same position with joints turned by whole turns: as near as may be, or the nearest way in which it fits."""
         nearest = self._turned_towards(q, near, held)
-        inside = (nearest >= self.inverse.low - SAME) & (nearest <= self.inverse.high + SAME)
+        inside = (nearest >= self.inverse.low - SAME_POSITION) & (nearest <= self.inverse.high + SAME_POSITION)
         if inside.all() and (fits is None or fits(nearest)):
             return nearest
         ways = self._ways(nearest, np.isnan(held) & self.inverse.turning, near)
@@ -525,9 +531,9 @@ class Controller:
         All joints as near as may be, or between minus and plus half a turn, and one or two of them otherwise.
         """
         choices = []
-        limits = zip(self.inverse.low - SAME, self.inverse.high + SAME, strict=True)
+        limits = zip(self.inverse.low - SAME_POSITION, self.inverse.high + SAME_POSITION, strict=True)
         for value, turns, (low, high) in zip(q.tolist(), turning.tolist(), limits, strict=True):
-            every = [value + TURN * k for k in TURNS] if turns else [value]
+            every = [value + TURN * k for k in WHOLE_TURNS] if turns else [value]
             choices.append([v for v in every if low <= v <= high])
         if not all(choices):
             return []

@@ -22,17 +22,17 @@ from aridcal.engine.inverse.one_pose import FINEST_NOISE, MOST_UNAVOIDABLE
 from aridcal.engine.robot.chain import Robot
 from aridcal.engine.rows.approach import approach
 from aridcal.files.query import QueryRows
-from aridcal.jobs.apply.joint_commands import LEAST_MOTION
-from aridcal.jobs.apply.programs.branches import FEW, STARTS, Chain, Controller, Memory, Poses, flanges
+from aridcal.jobs.apply.joint_commands import LEAST_BACKLASH_MOTION
+from aridcal.jobs.apply.programs.branches import FIRST_BRANCHES, STARTS, Chain, Controller, Memory, Poses, flanges
 from aridcal.jobs.apply.programs.corrections import Corrections, joined_corrections, no_corrections
 from aridcal.jobs.apply.programs.notations import inverse
 from aridcal.jobs.apply.programs.targets import Notation, PoseReference, Target
-from aridcal.jobs.apply.programs.text import LARGEST, NUL, written
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NUL, written
 from aridcal.jobs.apply.target_poses import directions, extrapolates, needed_of, std_of
 from aridcal.jobs.calibrate.saved_model import SavedModel
 from aridcal.system.errors import CovariateNotFound
 
-BEYOND = "is beyond what was measured for the calibration"
+BEYOND_MEASURED = "is beyond what was measured for the calibration"
 
 UNREACHED = "cannot be reached within the joint limits"
 
@@ -40,7 +40,7 @@ SINGULAR = "is close to a singularity: corrected as far as small motions of the 
 
 PARTLY = "does not state all axes: corrected as far as those can that it states"
 
-NOWHERE = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
+NOT_NOMINAL = "the nominal arm does not get there: it is out of reach, or base, tool or tip are others"
 
 LIMITED = (
     "the nominal arm gets there beyond its joint limits only: it is out of reach, or base, tool or limits are others"
@@ -66,16 +66,16 @@ round a singularity, and the arm would swing there between two targets."""
 DAMPINGS = np.logspace(-4, 0, 9)
 """[m/rad]: tried one after the other until no joint moves further."""
 
-SAME = 1e-3
+OTHER_POSITION = 1e-3
 """[rad] or [m]: readings that differ by more are another position of the arm."""
 
 WORTH = 0.5
 """A correction that is not whole is made where it leaves less than half of the error."""
 
-LEVER = 1.0
+TIP_LEVER = 1.0
 """[m]: where positions alone were measured, a turn of the tip counts as so much as it moves a tool of this length."""
 
-BESIDE = "is also used a constant way off, where its correction is right in part only"
+ALSO_A_CONSTANT = "is also used a constant way off, where its correction is right in part only"
 
 BESIDE_WORSE = (
     "is also used a constant way off, where its correction would leave more than half of the error: give each a point"
@@ -85,7 +85,7 @@ BESIDE_NOWHERE = "is also used a constant way off, where the nominal arm does no
 
 UNSETTLED = "its correction depends on how the arm stands there: give --start J1,J2,…, or a joint target before it"
 
-AT_ONCE = 2_000
+TARGETS_AT_ONCE = 2_000
 """Targets that are worked out together: all that is made on the way takes some megabytes, and a program of any length no more."""
 
 
@@ -110,7 +110,7 @@ class _Arm:
     def real(self) -> InverseRows:
         """The calibrated arm with its effects; wanted poses are those of the target in the world."""
         expected, nominal = self.saved.expected, self.controller.inverse
-        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else LEVER
+        lever = self.saved.noise[0] / self.saved.noise[1] if self.saved.turns else TIP_LEVER
         return InverseRows(
             ArmRows(expected.model, expected.theta, *self.labels), nominal.low, nominal.high, nominal.turning, lever
         )
@@ -131,7 +131,7 @@ class _Arm:
     def _allowed(self) -> tuple[float, float]:
         """What a pose may be missed by that counts as reached, [m] and [rad] times the lever."""
         lean = len(self.real.low) < 6
-        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / LEVER
+        noise = self.saved.noise[0], self.saved.noise[1] if self.saved.turns else self.saved.noise[0] / TIP_LEVER
         position, rotation = (MOST_UNAVOIDABLE if lean else max(sigma, FINEST_NOISE) for sigma in noise)
         return position, rotation * self.real.lever
 
@@ -187,7 +187,7 @@ class _Arm:
     def _same_side(self, q: np.ndarray, start: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Whether the controller, coming from a start, stands as wanted, and no elbow has gone through its singularity."""
         found, reached, _ = self.controller.settle(flanges(self.controller.robot, q), start, held)
-        return np.asarray(reached & (np.abs(found - q).max(axis=1, initial=0.0) < SAME))
+        return np.asarray(reached & (np.abs(found - q).max(axis=1, initial=0.0) < OTHER_POSITION))
 
     def miss(self, wanted: np.ndarray, q: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
         """How far the real target is from where it should be, [m] and [rad], shape (n, 2)."""
@@ -229,9 +229,9 @@ def correct(
     middle = np.array([np.mean(saved.ranges.get(name, (0.0, 0.0))) for name in saved.final.model.robot.readings])
     walk = _Walk(arm, middle if start is None else start)
     found = []
-    for first in range(0, max(len(targets), 1), AT_ONCE):
+    for first in range(0, max(len(targets), 1), TARGETS_AT_ONCE):
         told(first)
-        found.append(walk.go(targets[first : first + AT_ONCE]))
+        found.append(walk.go(targets[first : first + TARGETS_AT_ONCE]))
     return joined_corrections(found)
 
 
@@ -393,7 +393,7 @@ class _Walk:
         """Why the controller does not get to a pose, by what searches over all readings found."""
         ends = memory.get(pose.key(0))
         if ends is None or not len(ends):
-            return NOWHERE
+            return NOT_NOMINAL
         words = target.branch.words
         if words is None or not self._controller.within_limits(pose, ends):
             return LIMITED
@@ -405,7 +405,7 @@ class _Walk:
         for name, side in self._sides.items():
             k = self._robot.names.index(name.removesuffix("_direction"))
             at, middle = self._robot.positions(q)[:, k], self._robot.positions(self._nominal[None])[0, k]
-            found[name] = approach(at, LEAST_MOTION, side, float(middle))
+            found[name] = approach(at, LEAST_BACKLASH_MOTION, side, float(middle))
             self._sides[name] = float(found[name][-1])
         return found
 
@@ -446,7 +446,7 @@ class _Walk:
             for before, value, digits, (unit, j) in own:
                 text = written(value + (real[row, j] - q[row, j]) / unit, before, digits)
                 sent[row, j] = q[row, j] + (float(text) - value) * unit
-                large[row] |= abs(float(text)) > LARGEST
+                large[row] |= abs(float(text)) > LARGEST_IN_PROGRAM
                 texts.append(text)
             lot.texts[k] = tuple(texts)
         lot.moved[rows] = _apart(flanges(self._robot, sent), flanges(self._robot, as_is))
@@ -462,7 +462,7 @@ class _Walk:
 
     def _left(self, real: np.ndarray, remark: np.ndarray, sides: Mapping[str, np.ndarray]) -> np.ndarray:
         """Why targets are left as they are; empty of those that are not."""
-        beyond = np.where(self._arm.beyond(real, sides), BEYOND, "")
+        beyond = np.where(self._arm.beyond(real, sides), BEYOND_MEASURED, "")
         return np.where(remark == UNREACHED, UNREACHED, beyond).astype(object)
 
     # --- poses --------------------------------------------------------------------------------------------------------------
@@ -487,7 +487,9 @@ class _Walk:
         lot.moved[rows] = _apart(base @ new, wanted @ tool)
         lot.before[rows], lot.after[rows] = (self._arm.miss(wanted, there, sides) for there in (q, lot.sent[rows]))
         lot.remark[rows], lot.why[rows] = remark, self._left(real, remark, sides)
-        lot.why[[k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST]] = TOO_LARGE
+        lot.why[
+            [k for k, own in zip(rows.tolist(), numbers, strict=True) if max(map(abs, own)) > LARGEST_IN_PROGRAM]
+        ] = TOO_LARGE
         self._settle_stance(lot)
         self._reword(lot, rows, as_read)
         self._keep_shared(lot, rows)
@@ -498,7 +500,7 @@ class _Walk:
     def _settle_stance(self, lot: _Lot) -> None:
         """Leave poses of which nobody knows how the arm stands there, where their corrections depend on it."""
         rows = np.array([k for k in lot.poses.tolist() if _unsettled(lot.targets[k]) and not lot.why[k]], dtype=int)
-        for count in (FEW, STARTS):  # few starts find, as a rule, that corrections differ
+        for count in (FIRST_BRANCHES, STARTS):  # few starts find, as a rule, that corrections differ
             if len(rows):
                 self._compare(lot, rows, count)
                 rows = rows[lot.why[rows] == ""]
@@ -511,7 +513,7 @@ class _Walk:
             (k, other)
             for k, own in zip(rows.tolist(), positions, strict=True)
             for other in own
-            if np.abs(other - lot.q[k]).max() > SAME
+            if np.abs(other - lot.q[k]).max() > OTHER_POSITION
         ]
         lot.positions[rows] = 1
         if not pairs:
@@ -545,7 +547,7 @@ class _Walk:
             own = rows[changed]
             poses = Poses(as_read[changed], lot.held[own], fits)
             taken, _ = self._controller.nearest(poses, lot.q[own], lot.sent[own], {})
-            other = np.abs(taken - lot.sent[own]).max(axis=1) > SAME
+            other = np.abs(taken - lot.sent[own]).max(axis=1) > OTHER_POSITION
             lot.why[own[other]] = ELSEWHERE
 
     def _keep_shared(self, lot: _Lot, rows: np.ndarray) -> None:
@@ -583,7 +585,7 @@ class _Walk:
         for k, ok, half in zip(of.tolist(), there & reached, worth, strict=True):
             if not (ok and half):
                 lot.why[k] = lot.why[k] or (BESIDE_WORSE if ok else BESIDE_NOWHERE)
-            lot.remark[k] = lot.remark[k] or BESIDE
+            lot.remark[k] = lot.remark[k] or ALSO_A_CONSTANT
 
 
 def _passes(target: Target) -> bool:

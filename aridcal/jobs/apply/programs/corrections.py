@@ -14,7 +14,7 @@ from aridcal.jobs.apply.programs.targets import Target
 from aridcal.jobs.apply.programs.text import NUL
 from aridcal.system.errors import printable
 
-DIGITS = 6
+TABLE_DIGITS = 6
 """Of millimetres and milliradians in the side table: a nanometre, which nobody reads past."""
 
 WRITTEN_DIGITS = 12
@@ -178,13 +178,13 @@ def as_table(found: Corrections) -> dict[str, np.ndarray]:
         ("error_after_mm", "error_after_mrad"),
     )
     for pair, values in zip(names, (moved, found.before, after), strict=True):
-        columns |= dict(zip(pair, np.round(1e3 * values.T, DIGITS), strict=True))
+        columns |= dict(zip(pair, np.round(1e3 * values.T, TABLE_DIGITS), strict=True))
     columns["arm_positions"] = found.positions
-    columns["other_position_mm"] = np.round(1e3 * found.doubt, DIGITS)
+    columns["other_position_mm"] = np.round(1e3 * found.doubt, TABLE_DIGITS)
     return {
         name: np.asarray(column, dtype=object if isinstance(column, list) else None) for name, column in columns.items()
     }
 
 
 def _remark(remark: str, beside: float) -> str:
-    return f"{remark}: {1e3 * beside:.{DIGITS}f} mm remain there at most" if beside else remark
+    return f"{remark}: {1e3 * beside:.{TABLE_DIGITS}f} mm remain there at most" if beside else remark

@@ -9,7 +9,7 @@ from pathlib import Path
 from aridcal.system.errors import AridcalError
 from aridcal.system.reading.regular_files import Limit, read_file
 
-PROGRAM = Limit(50)
+PROGRAM_LIMIT = Limit(50)
 """A spraying path of a million points has 50 MB."""
 
 
@@ -49,7 +49,7 @@ def read_text(path: Path) -> str:
     Raises:
         AridcalError: it is not there, too large, or no text of one byte a letter.
     """
-    content = read_file(path, AridcalError, PROGRAM)
+    content = read_file(path, AridcalError, PROGRAM_LIMIT)
     if b"\0" in content:
         raise AridcalError(
             f"{path}: is no text of one byte a letter: export the program as ASCII, ISO 8859 or UTF-8 text"

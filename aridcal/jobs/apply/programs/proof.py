@@ -21,7 +21,7 @@ class ProofFailure(Exception):
     """The new text does not say what was meant: a fault of the program, never of its user."""
 
 
-AT_ONCE = 2_000
+COMPARED_AT_ONCE = 2_000
 """Targets that are compared together: what is made on the way takes some megabytes."""
 
 
@@ -89,7 +89,9 @@ class ExpectedTargets:
 def expected_targets(targets: Sequence[Target]) -> list[ExpectedTargets]:
     """What targets say, some thousand at a time."""
     same: dict[object, Any] = {}  # one of all that are equal
-    return [_meant(targets[first : first + AT_ONCE], same) for first in range(0, len(targets), AT_ONCE)]
+    return [
+        _meant(targets[first : first + COMPARED_AT_ONCE], same) for first in range(0, len(targets), COMPARED_AT_ONCE)
+    ]
 
 
 def _meant(targets: Sequence[Target], same: dict[object, Any]) -> ExpectedTargets:
@@ -229,8 +231,8 @@ def _spliced(text: str, edits: _Edits) -> EditedText:
 def _between(text: str, starts: np.ndarray, ends: np.ndarray) -> Iterator[tuple[slice, list[str]]]:
     """What stands in a text before each of some numbers that follow each other, some thousand of them at a time."""
     last = 0
-    for first in range(0, len(starts), AT_ONCE):
-        rows = slice(first, first + AT_ONCE)
+    for first in range(0, len(starts), COMPARED_AT_ONCE):
+        rows = slice(first, first + COMPARED_AT_ONCE)
         begins = [last, *ends[rows].tolist()]
         last = begins.pop()
         yield rows, [text[begin:end] for begin, end in zip(begins, starts[rows].tolist(), strict=True)]
@@ -276,7 +278,7 @@ def _check_numbers(before: ExpectedTargets, after: ExpectedTargets, edited: Sequ
         raise ProofFailure(f"{where}: {there[k]} was meant in place of {old[k]}, the new text has {new[k]}")
 
 
-SAME = {
+UNCHANGED_COLUMNS = {
     "files": "file",
     "lines": "line",
     "forms": "form",
@@ -289,7 +291,7 @@ SAME = {
 
 def _check(before: ExpectedTargets, after: ExpectedTargets) -> None:
     """Make sure that targets of the new text mean what they meant."""
-    for column, name in SAME.items():
+    for column, name in UNCHANGED_COLUMNS.items():
         was, now = getattr(before, column), getattr(after, column)
         if was != now:
             k = next(k for k, (old, new) in enumerate(zip(was, now, strict=True)) if old != new)

@@ -12,7 +12,7 @@ from aridcal.jobs.apply.programs.languages import LANGUAGES, language_of
 from aridcal.jobs.apply.programs.marks import MARK
 from aridcal.jobs.apply.programs.project import Project, SourceFile, read_text
 from aridcal.system.errors import AridcalError
-from aridcal.system.writing.table_writer import ENDINGS
+from aridcal.system.writing.table_writer import WRITTEN_ENDINGS
 
 MOST_FILES = 2000
 """Of one project: the largest backups of a controller have some hundreds."""
@@ -38,7 +38,7 @@ class LoadedProject:
 
 def is_program(path: Path) -> bool:
     """Whether a path is a program's file by its name, or a folder: of programs then, unless it has the name of a table."""
-    return language_of(path) is not None or (path.is_dir() and path.suffix.lower() not in ENDINGS)
+    return language_of(path) is not None or (path.is_dir() and path.suffix.lower() not in WRITTEN_ENDINGS)
 
 
 def read_project(paths: Sequence[Path], out: Path) -> LoadedProject:

@@ -21,7 +21,14 @@ from aridcal.jobs.apply.programs.corrections import WRITTEN_DIGITS, Corrections,
 from aridcal.jobs.apply.programs.frames import read_frames
 from aridcal.jobs.apply.programs.language import Language
 from aridcal.jobs.apply.programs.languages import language_of
-from aridcal.jobs.apply.programs.marks import OUTPUT_HASH, SIDE, SIDE_OF_FOLDER, mark_of, output_hash, refuse_corrected
+from aridcal.jobs.apply.programs.marks import (
+    OUTPUT_HASH,
+    SIDE_OF_FOLDER,
+    SIDE_TABLE_ENDING,
+    mark_of,
+    output_hash,
+    refuse_corrected,
+)
 from aridcal.jobs.apply.programs.proof import TextChange, corrected, edit_texts, expected_targets
 from aridcal.jobs.apply.programs.read_project import LoadedProject, read_project
 from aridcal.jobs.apply.programs.text import Numbers
@@ -106,7 +113,7 @@ def correct_programs(request: Request, progress: Progress = SILENT) -> Answer:
         AridcalError: a file cannot be read or written, has no target, or was corrected before.
         Unproved: the new text does not say what was meant: a fault of ours.
     """
-    beside = request.out.with_name(f"{request.out.name}{SIDE}")
+    beside = request.out.with_name(f"{request.out.name}{SIDE_TABLE_ENDING}")
     check_apart([request.out, beside], [*request.programs, request.calibration, request.frames])
     opened = read_project(request.programs, request.out)
     for source in opened.project.sources:
@@ -259,7 +266,7 @@ def _outputs(request: Request, opened: LoadedProject) -> Outputs:
         raise OutputError(f"{out}: should be a folder: {len(opened.names)} programs are to be written")
     if single and out.suffix:
         check_home(out)
-        outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE}"), None)
+        outputs = Outputs((out,), out.with_name(f"{out.name}{SIDE_TABLE_ENDING}"), None)
     else:
         _check_outside(out, request.programs)
         outputs = Outputs(tuple(out / name for name in opened.names), out / SIDE_OF_FOLDER, out)

@@ -16,12 +16,12 @@ NUMBER = re.compile(r"[-+]?+(?:\d++(?:\.\d*+)?|\.\d++)(?:[eE][-+]?+\d++)?")
 NUL = "\0"
 """No number has it in its text."""
 
-LARGEST = 1e6
+LARGEST_IN_PROGRAM = 1e6
 """In any unit, metres or degrees: no arm has a larger number in a target, and none with one is corrected."""
 
 BRACKET = re.compile(r"[()\[\]{}]")
 
-NEAR = 500
+BRACKET_SEARCH_LETTERS = 500
 """Letters in which a bracket's closing one is looked for first: a line or two, where most are."""
 
 CLOSES = {"(": ")", "[": "]", "{": "}"}
@@ -149,7 +149,7 @@ class Code:
         opened = ""
         if self.plain[place : place + 1] not in CLOSES:
             return 0
-        for match in BRACKET.finditer(self.plain, place, place + NEAR):
+        for match in BRACKET.finditer(self.plain, place, place + BRACKET_SEARCH_LETTERS):
             bracket = match.group()
             if bracket in CLOSES:
                 opened += CLOSES[bracket]

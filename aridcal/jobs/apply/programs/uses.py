@@ -17,7 +17,7 @@ ANY = -1
 
 NEVER = "no move of the given files goes there, so that its frame and tool are not known"
 
-SAME = 1e-9
+SAME_FRAME = 1e-9
 """[m] and of a rotation's matrix: frames that differ by rounding are the same."""
 
 
@@ -28,7 +28,7 @@ class Frame:
     T: np.ndarray
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Frame) and (self.T is other.T or bool(np.abs(self.T - other.T).max() < SAME))
+        return isinstance(other, Frame) and (self.T is other.T or bool(np.abs(self.T - other.T).max() < SAME_FRAME))
 
     def __matmul__(self, other: Frame) -> Frame:
         return Frame(self.T @ other.T)

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-PASSES = 6
+MOST_LOOP_WALKS = 6
 """Walks of one loop, or of a routine with jumps, until its states stay. What a loop sets becomes unknown in one walk, what is
 computed from it in the next; after these all that is set there is taken as unknown."""
 
@@ -478,7 +478,7 @@ class Walk:
     def _settled(self, body: Body, below: ProgramState) -> tuple[dict[str, list[ProgramState]], str]:
         """States of the jumps of a routine, and why they are not kept apart."""
         jumps: dict[str, list[ProgramState]] = {}
-        for _ in range(PASSES):
+        for _ in range(MOST_LOOP_WALKS):
             ways = _Ways(below, jumps={label: list(states) for label, states in jumps.items()})
             self._run(body, ProgramState(below), ways)
             if sum(len(states) for states in ways.jumps.values()) > JUMPS:
@@ -549,7 +549,7 @@ class Walk:
     def _repeat(self, loop: Repeat, state: ProgramState, ways: _Ways) -> bool:
         """The state at the head of a loop is that of its first turn joined with those of all later ones."""
         with self._trial(state):
-            for _ in range(PASSES):
+            for _ in range(MOST_LOOP_WALKS):
                 head = ProgramState(state)
                 head.join([ProgramState(state), *self._turn(loop, state, ways)])
                 if not state._tells_more(head):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aridcal.jobs.apply.programs.notations import FANUC, MILLI
-from aridcal.jobs.apply.programs.text import LARGEST
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM
 from aridcal.jobs.apply.programs.uses import Frame
 from aridcal.jobs.apply.programs.walk import ProgramState
 
@@ -97,4 +97,4 @@ def number_of(text: str, state: ProgramState) -> float | None:
 
 
 def _bounded(value: float) -> float | None:
-    return value if abs(value) <= LARGEST else None
+    return value if abs(value) <= LARGEST_IN_PROGRAM else None

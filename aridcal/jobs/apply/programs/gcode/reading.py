@@ -27,7 +27,7 @@ from aridcal.jobs.apply.programs.gcode.table import (
     TURNS,
 )
 from aridcal.jobs.apply.programs.project import Project
-from aridcal.jobs.apply.programs.text import LARGEST, Number
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number
 from aridcal.jobs.apply.programs.uses import HERE
 from aridcal.jobs.apply.programs.walk import ProgramState, TooManyWays, Unknown, Walk
 from aridcal.system.errors import AridcalError
@@ -338,7 +338,7 @@ def _doubt(own: Words, away: bool, late: bool, mixed: bool) -> str:
         return "has a code behind its axis words: controllers differ in what it holds for"
     for _, number in own:
         assert number is not None
-        if not abs(number.value) <= LARGEST:
+        if not abs(number.value) <= LARGEST_IN_PROGRAM:
             return f"{number.text} is no length of a gantry"
     return MIXED if mixed else ""
 

@@ -30,7 +30,7 @@ from aridcal.jobs.apply.programs.krl.syntax import (
 )
 from aridcal.jobs.apply.programs.krl.values import WORKED, Element, Parts, Values, inverse_of
 from aridcal.jobs.apply.programs.targets import Target
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, Number
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, Number
 from aridcal.jobs.apply.programs.uses import HERE, Frame, Use, product
 from aridcal.jobs.apply.programs.walk import ProgramState, Unknown
 
@@ -242,7 +242,7 @@ class Meaning(Values):
         if (
             isinstance(before, Frame)
             and isinstance(value, Number)
-            and abs(value.value) <= LARGEST
+            and abs(value.value) <= LARGEST_IN_PROGRAM
             and part in ("x", "y", "z")
         ):
             T = before.T.copy()

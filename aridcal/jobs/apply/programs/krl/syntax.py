@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from aridcal.jobs.apply.programs.notations import KUKA
-from aridcal.jobs.apply.programs.text import LARGEST, Number, Numbers
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, Number, Numbers
 from aridcal.jobs.apply.programs.uses import Frame
 
 POSE = ("x", "y", "z", "a", "b", "c")
@@ -119,9 +119,13 @@ class Fields(Mapping[str, Number]):
     def why(self) -> str:
         """Why these are not the numbers of a target; empty if they are."""
         strange, lacking = _unlike_a_target(self.names)
-        if max(map(abs, map(float, self.numbers.texts))) <= LARGEST:
+        if max(map(abs, map(float, self.numbers.texts))) <= LARGEST_IN_PROGRAM:
             return strange or lacking
-        name = next(name for name, number in zip(self.names, self.numbers, strict=True) if abs(number.value) > LARGEST)
+        name = next(
+            name
+            for name, number in zip(self.names, self.numbers, strict=True)
+            if abs(number.value) > LARGEST_IN_PROGRAM
+        )
         return strange or f"has {name.upper()} beyond a million"
 
 
@@ -186,7 +190,7 @@ class Aggregate:
                 return strange or f"has {name.upper()} in bits: write it as a decimal number"
             if not isinstance(value, Number):
                 return strange or f"has {name.upper()} that is no plain number"
-            if not abs(value.value) <= LARGEST:
+            if not abs(value.value) <= LARGEST_IN_PROGRAM:
                 return strange or f"has {name.upper()} beyond a million"
         return strange or lacking
 
@@ -194,7 +198,7 @@ class Aggregate:
     def frame(self) -> Frame | None:
         """The transform of six plain numbers; None if it is none."""
         values = [v.value for name in POSE if isinstance(v := self.fields.get(name), Number)]
-        if len(values) < len(POSE) or not all(abs(v) <= LARGEST for v in values):
+        if len(values) < len(POSE) or not all(abs(v) <= LARGEST_IN_PROGRAM for v in values):
             return None
         return Frame(KUKA.pose(np.array(values)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from aridcal.jobs.apply.programs.moves import AXES, Moves
+from aridcal.jobs.apply.programs.moves import ARM_AXES, Moves
 from aridcal.jobs.apply.programs.rapid.grammar import blanked
 
 NOT_USED = "9E+09"
@@ -35,7 +35,7 @@ def write(made: Moves, stem: str) -> Iterator[str]:
     for stop in made.stops:
         value = dict(zip(axes, (f"{v:.5f}" for v in made.shown(stop)), strict=True))
         arm, outside = (
-            ", ".join(value.get(f"{letter}{k}", NOT_USED) for k in range(1, AXES + 1)) for letter in ("A", "E")
+            ", ".join(value.get(f"{letter}{k}", NOT_USED) for k in range(1, ARM_AXES + 1)) for letter in ("A", "E")
         )
         yield f"    MoveAbsJ [[{arm}], [{outside}]] \\NoEOffs, v100, fine, tool0;"
         if stop.number:

@@ -15,7 +15,7 @@ from aridcal.jobs.apply.programs.frames import absent, unknown_frame
 from aridcal.jobs.apply.programs.notations import UR, inverse
 from aridcal.jobs.apply.programs.project import Project
 from aridcal.jobs.apply.programs.targets import Branch, PoseReference, Target
-from aridcal.jobs.apply.programs.text import LARGEST, NONE, NUMBER, Code, Number, Numbers, number
+from aridcal.jobs.apply.programs.text import LARGEST_IN_PROGRAM, NONE, NUMBER, Code, Number, Numbers, number
 from aridcal.jobs.apply.programs.urscript.grammar import (
     Assign,
     Constant,
@@ -712,7 +712,7 @@ def _keys(value: object) -> Iterator[tuple[int, int]]:
 
 
 def _plain(values: Sequence[float]) -> bool:
-    return all(abs(value) <= LARGEST for value in values)
+    return all(abs(value) <= LARGEST_IN_PROGRAM for value in values)
 
 
 def _frame_of(pose: bool, values: Sequence[float]) -> object:
