@@ -311,7 +311,7 @@ def ranks(console: Console) -> None:
         for kind in ("pose", "position"):
             asked = problem(model, measure(model, zero, readings, kind=kind))
             whole = triangle(asked, zero, np.ones(300), np.full(len(asked.channels), NOISE))
-            told.append(len(identifiable(whole, range(len(candidates))).kept))
+            told.append(len(identifiable(whole, range(len(candidates))).independent))
         turning = sum(joint.kind == "revolute" for joint in robot.joints)
         sliding = len(robot.joints) - turning
         most = 4 * turning + 2 * sliding

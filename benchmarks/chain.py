@@ -102,7 +102,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     robot = load_robot(STRIP.parents[1] / "urdf" / "arid.urdf", "flange")
     optics = Optics(settings.camera.width, settings.camera.height, load_squares(settings.squares))
     start = head_of(settings)
-    seen_by = ObservedRows(robot, {}, (), held=head_things(start).held)
+    seen_by = ObservedRows(robot, {}, (), stated_components=head_things(start).held)
     wrong = [declared(seen_by, e, case) for e in campaign(CASES[case]).effects]
     phi = start.phi
     for e in wrong:
@@ -150,7 +150,7 @@ def trial(job: tuple[str, int, bool]) -> Trial:
     final, plain = arm.diagnosed.fit, geometry.geometric
     oracle = _oracle(model, found, q[kept], start, directions(start, [c for e in wrong for c in e.coefficients]))
     truth = {(e.kind, e.where) for e in wrong} | ({("joint_compliance", "joint_3")} if "elbow" in case else set())
-    said = [a.effect for a in arm.diagnosed.found.state.active]
+    said = [a.effect for a in arm.diagnosed.stepwise.state.active]
     return Trial(
         tuple(e.label for e in said),
         {(e.kind, e.where) for e in said} == truth,
@@ -232,7 +232,7 @@ def _oracle(
         A, b = _whitened(moving, theta, seen, q, replace(start, phi=start.phi + H @ phi), H)
         if len(kept) == 0:
             R = np.asarray(np.linalg.qr(A[:, : len(theta)], mode="r"))
-            kept = np.array([*sorted(identifiable(R, range(len(theta))).kept), *range(len(theta), A.shape[1])])
+            kept = np.array([*sorted(identifiable(R, range(len(theta))).independent), *range(len(theta), A.shape[1])])
         scale = 1.0 / np.linalg.norm(A[:, kept], axis=0)
         step = np.zeros(A.shape[1])
         step[kept] = scale * np.linalg.lstsq(A[:, kept] * scale, b, rcond=None)[0]

@@ -159,11 +159,11 @@ def bound() -> None:
     rows = np.concatenate([choice.rows, best.rows])
     w = np.full(len(rows), 1.0 / len(rows))
     for _ in range(ROUNDS):
-        S = np.linalg.inv(choice.known / n + np.einsum("c,cpi,cpj->ij", w, rows, rows, optimize=True))
+        S = np.linalg.inv(choice.prior_information / n + np.einsum("c,cpi,cpj->ij", w, rows, rows, optimize=True))
         gradient = np.einsum("cpi,ij,cpj->c", rows, S @ choice.averaged @ S, rows, optimize=True)
         w = w * np.sqrt(gradient) / np.sum(w * np.sqrt(gradient))
     trace = float(np.trace(choice.averaged @ S))
-    assumed = float(np.trace(S @ choice.averaged @ S @ choice.known)) / n
+    assumed = float(np.trace(S @ choice.averaged @ S @ choice.prior_information)) / n
     lowest = np.sqrt(trace**2 / (gradient.max() + assumed) / n) / random
     print(f"{arm}, {n} of {kind}: no choice among {len(rows)} places is below {lowest:.3f} of random ones")
 

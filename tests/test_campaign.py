@@ -90,7 +90,7 @@ def test_what_is_left_out_has_the_stated_defaults() -> None:
         assert (frame.xyz, frame.rpy, frame.identify, frame.per) == ((0, 0, 0), (0, 0, 0), True, None)
     assert (job.parameters.set, job.effects, job.diagnosis.enabled) == ("full", (), True)
     assert job.diagnosis.candidates == parse(SMALLEST + "diagnosis: {candidates: all}").diagnosis.candidates
-    assert set(job.diagnosis.candidates) == {name for name, kind in EFFECT_KINDS.items() if not kind.asked}
+    assert set(job.diagnosis.candidates) == {name for name, kind in EFFECT_KINDS.items() if not kind.on_request}
 
 
 def test_paths_are_relative_to_the_file_and_its_text_is_kept(tmp_path: Path) -> None:

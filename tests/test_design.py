@@ -336,7 +336,7 @@ def test_the_campaign_s_own_region_and_tool_are_planned_for(tmp_path: Path) -> N
     candidates = draw_candidates(far, 200, 10, np.random.default_rng(0))
     choice, of = question(far, PlanRequest(8), candidates, region_readings(far, None, rng))
     step = 1e-6
-    for place, k in list(enumerate(of.kept))[::7]:
+    for place, k in list(enumerate(of.coefficients))[::7]:
         ends = []
         for sign in (step, -step):
             theta = far.theta + sign * (np.arange(len(far.theta)) == k)

@@ -120,7 +120,7 @@ def test_what_hangs_on_a_configuration_is_what_goes_without_it(tmp_path: Path) -
 
     def variance(some: list[int]) -> np.ndarray:
         flat = rows[some].reshape(-1, rows.shape[2])
-        spread = np.diag(np.linalg.inv(of.known + flat.T @ flat))
+        spread = np.diag(np.linalg.inv(of.prior_information + flat.T @ flat))
         return np.array([spread[part].sum() for part in parts])
 
     every = list(range(10))

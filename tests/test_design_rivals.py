@@ -113,7 +113,7 @@ def test_expected_evidence_is_what_a_fit_of_the_rival_leaves(tmp_path: Path) -> 
     new = whitened(wide, at(plan.readings))
     F = np.concatenate([flat, new.reshape(-1, new.shape[2])])
     offered = draw_candidates(wide, 300, 16, np.random.default_rng(np.random.SeedSequence(0).spawn(5)[0]))
-    constants = [k for k in candidate_information(wide, offered, 8).kept if k not in {*parts[0], *parts[1]}]
+    constants = [k for k in candidate_information(wide, offered, 8).coefficients if k not in {*parts[0], *parts[1]}]
 
     def left(y: np.ndarray, columns: np.ndarray) -> np.ndarray:
         return y - columns @ np.linalg.lstsq(columns, y, rcond=1e-12)[0]

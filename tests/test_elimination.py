@@ -73,7 +73,7 @@ def dense(asked: Problem, theta: np.ndarray, weight: np.ndarray) -> tuple[np.nda
     more = np.zeros((len(facts.group), A.shape[1]))
     for k, g in enumerate(facts.group):
         more[k, len(theta) + g * width : len(theta) + (g + 1) * width] = facts.by[k]
-    return np.vstack([A, more]), np.concatenate([b, facts.left]), len(theta)
+    return np.vstack([A, more]), np.concatenate([b, facts.misfit]), len(theta)
 
 
 @pytest.mark.parametrize("ties", [False, True])

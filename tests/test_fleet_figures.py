@@ -118,7 +118,7 @@ def test_of_fleets_in_which_nothing_moves_one_in_a_hundred_is_told_of_a_drift() 
     for _ in range(400):
         found, robots = drifting([row(f"r{k}", rng, month) for k in range(10) for month in (0, 1, 2)])
         assert (robots, len(found)) == (10, 10 * len(NAMES))
-        told += any(drift.beyond for drift in found)
+        told += any(drift.significant for drift in found)
     assert told <= 11
     assert FALSE_ALARMS == 0.01
 
@@ -173,7 +173,7 @@ def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> N
     rows = [row(f"r{k}", rng, month) for k in range(10) for month in range(4)]
     next(r for r in rows if r["robot"] == "r3" and r["key"] == "r3 3")["constants"][2]["value"] += 2e-3
     found, _ = drifting(rows[::-1])  # whatever the order
-    assert (found[0].robot, found[0].name, found[0].unit, found[0].days, found[0].beyond) == (
+    assert (found[0].robot, found[0].name, found[0].unit, found[0].days, found[0].significant) == (
         "r3",
         "joint_3.x",
         "m",
@@ -182,7 +182,7 @@ def test_a_constant_that_moves_is_first_with_its_days_and_frames_are_none() -> N
     )
     assert found[0].last[0] - found[0].first[0] == pytest.approx(2e-3, abs=6e-4)
     assert [drift.times for drift in found] == sorted((drift.times for drift in found), reverse=True)
-    assert not any(drift.beyond for drift in found[1:])
+    assert not any(drift.significant for drift in found[1:])
 
 
 def test_the_same_rows_computed_twice_and_another_urdf_are_no_second_measurement() -> None:

@@ -31,7 +31,7 @@ def found(n: int, more: str = QUIET, seed: int = 0, **faults: float) -> tuple[Ca
 
 
 def named(arm: CalibratedArm) -> set[tuple[str, str]]:
-    return {(a.effect.kind, a.effect.where) for a in arm.diagnosed.found.state.active}
+    return {(a.effect.kind, a.effect.where) for a in arm.diagnosed.stepwise.state.active}
 
 
 def values(arm: CalibratedArm) -> dict[str, tuple[float, float]]:

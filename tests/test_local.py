@@ -116,7 +116,7 @@ def test_what_is_known_of_a_point_is_the_same_with_a_column_for_each() -> None:
     )
     for name in ("places", "covariance", "turns", "told", "turns_told"):
         np.testing.assert_allclose(getattr(found, name), getattr(known, name), rtol=1e-9, atol=1e-16, err_msg=name)
-    assert known.told.any() or known.turns_told.any()
+    assert known.observable.any() or known.turns_told.any()
 
 
 def test_columns_of_the_last_coefficients_are_those_among_all() -> None:

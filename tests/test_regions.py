@@ -392,7 +392,7 @@ def test_what_does_not_hold_between_the_places_measured_is_not_called_a_constant
     asked = robots.campaign("pose", parameters={"set": "doty"}, diagnosis={"candidates": ("regional",)})
     found = calibrated_arm(
         asked.question, robot, rows, (), fit_constants(asked.question, robot, rows, ()), SILENT
-    ).diagnosed.found
+    ).diagnosed.stepwise
     active = [a.effect.where for a in found.state.active]
     assert active == ([] if jumps else ["joint_2"])
     if jumps:

@@ -165,8 +165,8 @@ def test_the_cause_that_was_not_named_is_no_change_between_two_calibrations_and_
     for pair in ((replace(saved, rivals=some), other), (other, replace(saved, rivals=some))):
         assert not compare(*pair).changed
     found = compare(replace(saved, rivals=some), worn)
-    assert [cause.names for cause in found.causes.found] == [("elbow_joint.axis",)]
-    assert found.causes.found[0].value[0] == pytest.approx(3e-3, rel=0.05)
+    assert [cause.names for cause in found.causes.changes] == [("elbow_joint.axis",)]
+    assert found.causes.changes[0].value[0] == pytest.approx(3e-3, rel=0.05)
 
 
 def score(gain: float) -> Score:

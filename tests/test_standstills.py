@@ -124,7 +124,7 @@ def test_the_likelihood_with_unknown_things_is_that_of_dense_columns(tmp_path: P
             columns[i, :, g * U : (g + 1) * U] = pieces.B[i]
         for i, g in enumerate(known.group):
             facts[i, g * U : (g + 1) * U] = known.by[i]
-        left = known.left
+        left = known.misfit
         assert (name == "point") == (len(left) > 0)
     there = np.concatenate([columns.reshape(n * m, -1), facts])
     there = there[:, there.any(axis=0)]

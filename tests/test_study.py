@@ -247,8 +247,8 @@ def test_points_and_shares_count_what_was_done() -> None:
 
     rows = [row(True, 0), row(True, 2), row(False, 0), row(False, 0, "failed")]
     (point,) = points(rows)
-    assert point.found is not None
-    assert (point.runs, point.failed, point.found.value, point.others.value) == (3, 1, 2 / 3, 1 / 3)
+    assert point.finding_share is not None
+    assert (point.runs, point.failed, point.finding_share.value, point.others.value) == (3, 1, 2 / 3, 1 / 3)
     assert [(label, s.value) for label, s in recurrent_effects(rows)] == [("a", 2 / 3)]
     assert points([row(False, 0, "failed")]) == []
 

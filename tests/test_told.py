@@ -72,7 +72,7 @@ def test_what_the_file_says_is_what_the_report_says(stood: tuple[Outcome, SavedM
     there = outcome.certainty.anywhere
     table = pd.DataFrame(there.readings, columns=list(saved.final.model.robot.readings))
     made = predict(saved, read_query(saved, table))
-    np.testing.assert_array_equal(made["told"], there.told & there.turns_told)
+    np.testing.assert_array_equal(made["told"], there.observable & there.turns_told)
     assert 0.0 < made["told"].mean() < 1.0
 
 

@@ -354,7 +354,7 @@ def test_a_campaigns_own_tolerance_counts_and_rotations_are_judged_too(tmp_path:
             tmp_path, truth, measurements=made, tolerance={"position": "1mm", "rotation": turn}
         )
         known = run(path).certainty
-        assert [part.within for part in known.kept] == [True, good]
+        assert [part.within for part in known.tolerances] == [True, good]
         assert known.within == good
 
 
@@ -364,7 +364,7 @@ def test_what_no_row_tells_is_not_within(tmp_path: Path) -> None:
     made = {"file": "measurements.csv", "kind": "position", "noise": {"position": NOISE}}
     path = robots.write_campaign(tmp_path, truth, measurements=made, tolerance={"position": "1mm", "rotation": "1rad"})
     outcome = run(path)
-    assert [part.within for part in outcome.certainty.kept] == [True, False]
+    assert [part.within for part in outcome.certainty.tolerances] == [True, False]
     assert not outcome.certainty.within
     good, words = tolerance_in_words(outcome, asked=True)[1]
     assert not good and words.endswith("in 95 % of the range that was measured: no row tells the target's rotation.")

@@ -54,7 +54,7 @@ REFERRING = tuple(kind for kind in MEASURED if labelled(kind))
 
 def _all_kinds(candidates: Any) -> Any:
     """Names of kinds; `all` for those that need not be asked for."""
-    usual = [name for name, kind in EFFECT_KINDS.items() if not kind.asked]
+    usual = [name for name, kind in EFFECT_KINDS.items() if not kind.on_request]
     named = listed(candidates)
     if named is None:
         return None

@@ -287,7 +287,7 @@ def _tolerances(outcome: Outcome) -> Iterator[tuple[str, str]]:
     if certainty is None:
         return
     sure = f"in {100 * SHARE:.0f} % of {certainty.title}, with {100 * CONFIDENCE:.0f} % confidence"
-    for part in certainty.kept:
+    for part in certainty.tolerances:
         if part.tolerance is not None:
             unit = "mrad" if part.of == "rotation" else "mm"
             answer = "kept" if part.within else "cannot be said to be kept"

@@ -65,7 +65,7 @@ def _poses(comparison: Comparison) -> Iterator[Content]:
 def _causes(comparison: Comparison) -> Iterator[Content]:
     """The causes, by coefficient."""
     rows: list[list[Content]] = []
-    for c in comparison.causes.found:
+    for c in comparison.causes.changes:
         for k, name in enumerate(c.names):
             unit, scale = shown_unit(c.units[k])
             rows.append(

@@ -191,7 +191,7 @@ def _drifting(ran: FleetResults) -> Iterator[Content]:
             "p", "No robot was measured twice yet. Once some are, their first and their last runs are compared here."
         )
         return
-    beyond = [drift for drift in drifts if drift.beyond]
+    beyond = [drift for drift in drifts if drift.significant]
     yield tag(
         "p",
         f"Of {plural(robots, 'robot')} measured more than once the last run was set beside the first that told the same "
@@ -201,7 +201,7 @@ def _drifting(ran: FleetResults) -> Iterator[Content]:
         tag("code", "aridcal history"),
         " follows every run, and says when a drift began.",
     )
-    shown = [*beyond, *[drift for drift in drifts if not drift.beyond][:MOST_WITHIN]]
+    shown = [*beyond, *[drift for drift in drifts if not drift.significant][:MOST_WITHIN]]
     if shown:
         head = ["robot", "constant", "", "first", "last", "change", "days", "σ of the change"]
         yield table(
@@ -213,7 +213,7 @@ def _drift(drift: Drift) -> list[Content]:
     unit, times = shown_unit(drift.unit)
     (x1, s1), (x2, s2) = drift.first, drift.last
     values = [plus_minus(times * x, times * s) for x, s in ((x1, s1), (x2, s2), (x2 - x1, math.hypot(s1, s2)))]
-    verdict: Content = tag("strong", "moved") if drift.beyond else "within chance"
+    verdict: Content = tag("strong", "moved") if drift.significant else "within chance"
     return [
         _name(drift.robot),
         drift.name,

@@ -56,7 +56,7 @@ def drift_table(ran: FleetResults) -> pd.DataFrame:
     """Constants of the first run and the last one of each robot, [m] and [rad], worst first; ``beyond`` what chance gives."""
     drifts, _ = drifting([row for row in ran.rows if row["robot"] in ran.now])
     columns = ["robot", "name", "unit", "first", "first_std", "last", "last_std", "days", "times", "beyond"]
-    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.beyond) for d in drifts]
+    rows = [(d.robot, d.name, d.unit, *d.first, *d.last, d.days, d.times, d.significant) for d in drifts]
     return pd.DataFrame(rows, columns=columns)
 
 

@@ -173,7 +173,7 @@ def _speeds(key: str, alt: str, merged: MergeResult, begin: float, end: float) -
     foot = area.bottom + 18
     lanes = [
         (merged.still.begin, merged.still.end, AFTER),
-        (clocks.joints(merged.found.begin), clocks.joints(merged.found.end), GREY),
+        (clocks.joints(merged.pairs.begin), clocks.joints(merged.pairs.end), GREY),
         (clocks.joints(tracked.begin), clocks.joints(tracked.end), BEFORE),
     ]
     for k, (a, b, color) in enumerate(lanes):

@@ -139,7 +139,7 @@ def _where(plan: Plan, robot: Robot) -> Iterator[Content]:
     drawn.append(("Planned readings of each joint between its limits", shares))
     yield figures(drawn)
     rows = [
-        [j.name, range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind), f"{100 * j.measured:.0f} %"]
+        [j.name, range_in_words(j.limits, j.kind), range_in_words(j.range, j.kind), f"{100 * j.measured:.0f} %"]
         for j in ranges
     ]
     head = ["joint", "limits", "planned", "share covered, of a turn at most"]

@@ -43,7 +43,7 @@ def study_page(done: StudyResult, title: str, effect: str, halves: bool) -> Mark
     """
     cases = points(done.rows)
     chapters: list[tuple[str, Callable[[], Iterator[Content]]]] = []
-    if effect and any(point.found is not None for point in cases):
+    if effect and any(point.finding_share is not None for point in cases):
         chapters.append(("Is it found?", lambda: _power(cases, effect)))
     chapters.append(("How large is the error?", lambda: _error(cases, done.rows)))
     if halves:
@@ -67,9 +67,10 @@ def _power(cases: Sequence[CaseFigures], effect: str) -> Iterator[Content]:
         f"Sought is {effect}. Found means: it is named, or the report says that what is named cannot be told from it. "
         "With size 0 there is none of it, and a run that finds it is wrong.",
     )
-    yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.found), 100.0))
+    yield figures(_by_rows_or_sizes(cases, "runs that find it [%]", lambda p: _percents(p.finding_share), 100.0))
     lines = [
-        [_case(p), plural(p.runs, "run"), *(_share(value) for value in (p.found, p.named, p.others))] for p in cases
+        [_case(p), plural(p.runs, "run"), *(_share(value) for value in (p.finding_share, p.named, p.others))]
+        for p in cases
     ]
     head = ["case", "", "found", "named itself", "something that is not there"]
     yield table(head, lines, f"Shares of runs, with their {INTERVAL} (Wilson)", numbers=1)

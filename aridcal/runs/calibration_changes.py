@@ -46,7 +46,7 @@ def changes(a: str | Path | SavedModel, b: str | Path | SavedModel) -> Changes:
     columns = ["what", "name", "unit", "before", "change", "std", "p_value"]
     rows = [
         (c.words, name, unit, before, float(value), float(std), c.p_value)
-        for c in comparison.causes.found
+        for c in comparison.causes.changes
         for name, unit, before, value, std in zip(c.names, c.units, c.before, c.value, c.std, strict=True)
     ]
     coefficients = pd.DataFrame(

@@ -85,12 +85,12 @@ def declared(rows: ObservedRows, declaration: Declaration, place: str) -> Effect
         CampaignError: there is no such effect on this robot or with these columns.
     """
     d, kind = declaration, EFFECT_KINDS[declaration.kind]
-    places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.held))
+    places = (*rows.robot.names, "world_base", "tip_target", *(name for _, name in rows.stated_components))
     if d.where not in places:
         raise CampaignError(
             f"{place}: effects: no place {d.where!r}{nearest(d.where, places)}; {d.kind} acts at {kind.where}"
         )
-    if kind.of_head and d.where in {name for _, name in rows.held}:
+    if kind.of_head and d.where in {name for _, name in rows.stated_components}:
         return _at_thing(rows, d, place)
     if kind.of_order and d.order:
         effects = [effect for order in d.order for effect in kind.of_order(d, order)]

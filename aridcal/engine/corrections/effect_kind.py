@@ -51,7 +51,8 @@ class ObservedRows:
         table: Covariates of those rows (see :func:`aridcal.engine.corrections.loads.covariate_table`), shape (N,) each.
         measured: Names of the columns beside the joints that are complete and not constant.
         orientations: False where only positions were measured: the target's own turns are not seen then.
-        held: Components that are taken as stated of each thing that measurements refer to, by the name of its role and its own.
+        stated_components: What is taken as stated of each thing that measurements refer to, by the names of its role and its own.
+            own.
         referred: Different configurations of the rows that refer to each of those things.
         labels: Covariates of the rows' labels (see :mod:`aridcal.engine.corrections.labels`).
         masses: Covariates of the payloads.
@@ -61,7 +62,7 @@ class ObservedRows:
     table: Mapping[str, np.ndarray]
     measured: tuple[str, ...]
     orientations: bool = True
-    held: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
+    stated_components: Mapping[tuple[str, str], tuple[str, ...]] = field(default_factory=dict)
     referred: Mapping[tuple[str, str], int] = field(default_factory=dict)
     labels: tuple[str, ...] = ()
     masses: tuple[str, ...] = ("payload",)
@@ -110,7 +111,7 @@ class EffectKind:
         of_order: Effects that a declaration with ``order`` means, where any order may be declared: the generator can
             yield only some.
         of_declaration: The effect that any declaration means, where the generator yields only some.
-        asked: True for what is sought only where a campaign names it.
+        on_request: True for what is sought only where a campaign names it.
         exclusive: True if the effects of this kind at one place are alternatives, the most likely first. A declaration
             means the first that fits; of any other kind it means all of them together.
         columns: Columns beside the joints that a declared effect depends on, for the simulator to draw.
@@ -132,7 +133,7 @@ class EffectKind:
     bys: tuple[str, ...] = ()
     of_order: Callable[[Declaration, float], Iterator[Effect]] | None = None
     of_declaration: Callable[[ObservedRows, Declaration], Iterator[Effect]] | None = None
-    asked: bool = False
+    on_request: bool = False
     exclusive: bool = False
     columns: Callable[[Declaration], tuple[str, ...]] = lambda _: ()
     curve: tuple[str, ...] = ()

@@ -22,7 +22,7 @@ def thing_effects(
     """Effects at the things of some roles: components off their stated values, where these are not identified anyway."""
 
     def testable(rows: ObservedRows) -> Iterator[Effect]:
-        for (of, where), exact in rows.held.items():
+        for (of, where), exact in rows.stated_components.items():
             for components in alternatives:
                 if of in roles and set(components) <= set(exact):
                     yield Effect(kind, where, tuple(Coefficient(where, c, ALWAYS) for c in components))
@@ -32,7 +32,7 @@ def thing_effects(
 
 def _of_role(rows: ObservedRows, role: str) -> Iterator[str]:
     """Names of the things of a role."""
-    return (where for of, where in rows.held if of == role)
+    return (where for of, where in rows.stated_components if of == role)
 
 
 def _range_error(rows: ObservedRows) -> Iterator[Effect]:

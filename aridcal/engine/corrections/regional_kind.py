@@ -211,7 +211,7 @@ REGIONAL = EffectKind(
     testable=_regional,
     key="by",
     of_declaration=_declared,
-    asked=True,
+    on_request=True,
     columns=lambda d: () if d.by in (IN_SPACE, LABEL_COLUMN) else (str(d.by),),
     curve=("axis", *FRAME_COMPONENTS, *LINK_COMPONENTS),
 )
@@ -225,6 +225,6 @@ RESIDUAL_FIELD = EffectKind(
     doc="residual_field",
     testable=_residual_field,
     of_declaration=_declared,
-    asked=True,
+    on_request=True,
     named=False,
 )

@@ -82,12 +82,12 @@ class PriorRows:
     Attributes:
         group: Group of each row, shape (T,).
         by: Columns of the group's unknowns, shape (T, U).
-        left: Declared minus present value, in sigmas, shape (T,).
+        misfit: Declared minus present value, in sigmas, shape (T,).
     """
 
     group: np.ndarray
     by: np.ndarray
-    left: np.ndarray
+    misfit: np.ndarray
 
 
 @dataclass
@@ -251,7 +251,7 @@ def prior_rows(groups: Groups, instruments: Instruments, states: ThingStates) ->
     return PriorRows(
         group=np.array([g for g, _, _ in rows], dtype=int),
         by=np.array([by for _, by, _ in rows]).reshape(-1, width),
-        left=np.array([deviation for _, _, deviation in rows]),
+        misfit=np.array([deviation for _, _, deviation in rows]),
     )
 
 
@@ -298,12 +298,12 @@ def solved(sums: Sums, groups: Groups, beforehand: PriorRows, sigma: np.ndarray)
     per = 1.0 / sigma**2
     H, C, b = (np.tensordot(per, total, axes=1) for total in (sums.BB, sums.BJ, sums.Br))
     np.add.at(H, beforehand.group, beforehand.by[:, :, None] * beforehand.by[:, None, :])
-    np.add.at(b, beforehand.group, beforehand.by * beforehand.left[:, None])
+    np.add.at(b, beforehand.group, beforehand.by * beforehand.misfit[:, None])
     values, vectors, scale = directions(H)
     inverse = (vectors * (1.0 / values)[:, None, :]) @ vectors.transpose(0, 2, 1)
     inverse = inverse * scale[:, :, None] * scale[:, None, :]
     X, y = inverse @ C, np.einsum("guv,gv->gu", inverse, b)
-    return Elimination(X, y, inverse, float(np.sum(beforehand.left**2)), np.isfinite(values).sum(axis=1))
+    return Elimination(X, y, inverse, float(np.sum(beforehand.misfit**2)), np.isfinite(values).sum(axis=1))
 
 
 def reduced(
@@ -330,13 +330,13 @@ def reduced(
         rr[c] += float(np.sum(y * (pull - 2.0 * sums.Br[c])))
     first = int(np.argmax(np.einsum("cguu->c", sums.BB)))
     by = tied_columns(X, beforehand)
-    remainder = beforehand.left - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
+    remainder = beforehand.misfit - np.einsum("tu,tu->t", beforehand.by, y[beforehand.group])
     AA[first] += sigma[first] ** 2 * by.T @ by
     Ar[first] += sigma[first] ** 2 * by.T @ remainder
     rr[first] += sigma[first] ** 2 * float(remainder @ remainder)
     share = np.einsum("cguu->cg", sums.BB) / (sigma**2)[:, None]
     share = share / np.maximum(share.sum(axis=0), TINY)
-    count[first] += len(beforehand.left)
+    count[first] += len(beforehand.misfit)
     return NormalEquations(AA, Ar, np.maximum(rr, 0.0), np.maximum(count - share @ elimination.rank, 0.0))
 
 

@@ -32,12 +32,12 @@ class Subset:
     """The coefficients that are kept, and why the others are not.
 
     Attributes:
-        kept: Indices of the coefficients that are fitted, in the order of preference.
+        independent: Indices of the coefficients that are fitted, in the order of preference.
         redundant: For each dropped index, the kept indices that it is confounded with; empty if it moves nothing.
         condition: Of the kept columns, each scaled to length 1.
     """
 
-    kept: tuple[int, ...]
+    independent: tuple[int, ...]
     redundant: dict[int, tuple[int, ...]]
     condition: float
 

@@ -336,7 +336,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
     sizes = model.sizes
     subset = identifiable(triangle(problem.select(some), theta, share, sigma) * sizes, order)
     for _ in range(ROUNDS):
-        kept = sorted(subset.kept)
+        kept = sorted(subset.independent)
         if not kept:
             raise NotIdentifiable([model.names])
         narrowed = _of_fewer_coefficients(problem, kept)
@@ -348,7 +348,7 @@ def fit_identifiable(problem: Problem, order: Sequence[int], groups: Sequence[Se
         # Kept columns stay ahead: near the solution a symmetry of the nominal robot is broken a little, and columns
         # that this makes barely separable must not push out well-determined ones.
         subset = identifiable(R, order, kept)
-        if sorted(subset.kept) == kept:
+        if sorted(subset.independent) == kept:
             break
     if groups and result.numbers < PLENTY_OF_NUMBERS * len(kept):
         result, subset = _fit_few_rows(problem, order, groups, replace(result, theta=theta), subset)
@@ -371,7 +371,7 @@ def _fit_few_rows(
         free: A fit without a prior, with values of all candidates: zero for those that are not in ``free_subset``.
         free_subset: The coefficients of that fit.
     """
-    model, kept = problem.model, sorted(free_subset.kept)
+    model, kept = problem.model, sorted(free_subset.independent)
     constants = [k for group in groups for k in group]
     theta = free.theta.copy()
     theta[constants] = 0.0
@@ -380,7 +380,7 @@ def _fit_few_rows(
         R = np.asarray(np.linalg.qr(np.vstack([R, _columns_elsewhere(problem, theta, free.sigma)]), mode="r"))
     # Frames have no prior: those that these rows do not determine stay out.
     subset = identifiable(R * model.sizes, [k for k in order if k in {*kept, *constants}], kept)
-    every = sorted(subset.kept)
+    every = sorted(subset.independent)
     begin = replace(free, theta=theta[every])
     redundant = {k: why for k, why in free_subset.redundant.items() if k not in every} | subset.redundant
     return shrunk(_of_fewer_coefficients(problem, every), begin, _motions_of_groups(R, every, groups)), replace(

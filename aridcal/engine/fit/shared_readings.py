@@ -224,7 +224,7 @@ def with_things(scatter: Scatter, part: Problem, B: np.ndarray, still: Stack) ->
     facts = np.zeros((count, still.width, unknown.shape[1]))
     facts[:, 0] = beforehand.by[of_groups]
     y = np.zeros((count, still.width))
-    y[:, 0] = beforehand.left[of_groups]
+    y[:, 0] = beforehand.misfit[of_groups]
     behind = replace(
         scatter,
         y=np.concatenate([scatter.y, y]),

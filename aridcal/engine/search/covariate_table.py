@@ -46,7 +46,7 @@ def covariates_and_exclusions(model: Model, rows: Dataset) -> tuple[ObservedRows
         table=table,
         measured=tuple(usable),
         orientations=rows.sees_turns,
-        held=model.instruments.held,
+        stated_components=model.instruments.held,
         referred={
             (role, name): len(np.unique(rows.repeats.configuration[referring]))
             for role, name, referring in references(rows)

@@ -46,7 +46,7 @@ def add_declared_effects(
     waiting: list[Effect] = []
     # Curves last: shaped before others are in the model, one may do all that these do, and they would seem confounded with it.
     for effect, anywhere in sorted(zip(effects, row_unknown, strict=True), key=lambda pair: pair[0].smooth):
-        if EFFECT_KINDS[effect.kind].asked:
+        if EFFECT_KINDS[effect.kind].on_request:
             waiting += [effect] if EFFECT_KINDS[effect.kind].named else []
             continue
         if anywhere and effect.at is not None:
@@ -67,7 +67,7 @@ def with_fields(state: State, effects: Sequence[Effect]) -> tuple[State, list[Un
 
     They come last because a field can imitate any cause.
     """
-    fields = [e for e in effects if not EFFECT_KINDS[e.kind].named and EFFECT_KINDS[e.kind].asked]
+    fields = [e for e in effects if not EFFECT_KINDS[e.kind].named and EFFECT_KINDS[e.kind].on_request]
     if not fields:
         return state, []
     for _ in range(MOST_DENTS):

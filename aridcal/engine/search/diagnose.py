@@ -96,7 +96,7 @@ class SearchResult:
         fit: Constants and effects, fitted together on the exact model.
         linearised_at: Where the model was linearised for the last search.
         observed: Covariates of the rows that were searched: some of the training rows, if there are thousands.
-        found: The search's result.
+        stepwise: The search's result.
         named: The candidates whose kind names a cause.
         barred: Candidates that could not be tested, and why.
         scattered: True if rows of one place err alike, and the effects were searched beside that scatter.
@@ -108,7 +108,7 @@ class SearchResult:
     fit: Fit
     linearised_at: Fit
     observed: ObservedRows
-    found: StepwiseResult
+    stepwise: StepwiseResult
     named: tuple[Effect, ...]
     barred: tuple[UntestableEffect, ...]
     scattered: bool
@@ -118,12 +118,12 @@ class SearchResult:
     @property
     def linear(self) -> LinearModel:
         """The model as it was linearised for the last search."""
-        return self.found.state.model
+        return self.stepwise.state.model
 
     @property
     def declared(self) -> tuple[Effect, ...]:
         """Effects that the campaign declares."""
-        return tuple(a.effect for a in self.found.state.active if a.declared)
+        return tuple(a.effect for a in self.stepwise.state.active if a.declared)
 
 
 @dataclass(frozen=True)
@@ -162,13 +162,13 @@ class SearchStep:
     """The state of a search between two refits.
 
     Attributes:
-        at: The last fit of the exact model, about which the state of ``found`` is linear.
-        found: The effects.
+        at: The last fit of the exact model, about which the state of ``stepwise`` is linear.
+        stepwise: The effects.
         fitted: Shapes of the effects of that fit.
     """
 
     at: Fit
-    found: StepwiseResult
+    stepwise: StepwiseResult
     fitted: tuple[ShapedEffect, ...] = ()
 
 
@@ -192,12 +192,12 @@ def diagnose(
     """
     every = Start(geometric, train, limits(train), progress)
     first = _search_once(question, every, before)
-    if any(not a.declared for a in first.found.state.active) and not first.scattered:
+    if any(not a.declared for a in first.stepwise.state.active) and not first.scattered:
         scatter = scatter_of(_fewer_rows(every).train)
         if scatter:
             progress("asking whether rows of one place err alike, in place of these effects")
             beside = _search_once(question, every, None, scatter)
-            in_use = first.found.state.used & beside.found.state.used
+            in_use = first.stepwise.state.used & beside.stepwise.state.used
             first = max(first, beside, key=partial(_evidence, scatter, in_use))
     together = cluster(first.fit.outliers, train)
     if together is None or together.p_value > LENIENT:
@@ -249,14 +249,14 @@ def _search_once(
         at, state = _large_first(setting, named, state)
     fresh = (small and not settled) or before is None
     if before is not None and not fresh:
-        state = state.with_active((*state.active, *(a for a in before.found.state.active if not a.declared)))
+        state = state.with_active((*state.active, *(a for a in before.stepwise.state.active if not a.declared)))
         if not settled:
             state = confirm(state, len(named) + len(unnamed), progress)
     if before is not None and settled:
-        step = SearchStep(at, replace(before.found, state=state))
+        step = SearchStep(at, replace(before.stepwise, state=state))
     else:
         step = _search_named(setting, named, SearchStep(at, StepwiseResult(state, (), 0)), fresh)
-    result = step.found
+    result = step.stepwise
     state, lost_effects = with_fields(reshaped(result.state, lambda a: a.declared), declared_effects)
     result, barred_effects = replace(result, state=state), barred_effects + lost_effects
     if unnamed and not settled:
@@ -296,12 +296,12 @@ def _search_once(
 
 def _evidence(scatter: tuple[Effect, ...], in_use: np.ndarray, diagnosed: SearchResult) -> float:
     """Evidence for the effects of a search on some rows, [nat], the scatter of places with them where it is clear."""
-    return evidence_of_set(with_scatter(diagnosed.found.state, scatter), Choices.of(diagnosed.named), in_use)
+    return evidence_of_set(with_scatter(diagnosed.stepwise.state, scatter), Choices.of(diagnosed.named), in_use)
 
 
 def model_with_rivals(diagnosed: SearchResult, progress: Progress = SILENT) -> SearchResult:
     """The final model with the candidates that are confounded with each effect; its products are forgotten afterwards."""
-    state = diagnosed.found.state
+    state = diagnosed.stepwise.state
     rivals = twins(state, diagnosed.named, progress)
     constants = [c for c in diagnosed.linearised_at.model.coefficients if c.basis.constant]
     weighed = rivals_of_effects(state, constants, rivals)
@@ -318,10 +318,10 @@ def _words_of_refit(state: State) -> str:
 def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, fresh: bool) -> SearchStep:
     """Search, refit on the exact model and search again about that, until the same effects are found."""
     progress = setting.progress
-    small = is_small(step.found.state.model, named)
+    small = is_small(step.stepwise.state.model, named)
     no_better = False
     for _ in range(SEARCHES if small else 1):
-        before, result = step.found.state, step.found
+        before, result = step.stepwise.state, step.stepwise
         if not no_better:
             result = search(before, named, exchange=fresh, progress=progress)
         whole = fresh and small and set(result.state.effects) == set(before.effects)
@@ -331,12 +331,12 @@ def _search_named(setting: Setting, named: Sequence[Effect], step: SearchStep, f
         result = replace(result, state=state)
         settled = set(state.effects) == set(before.effects) and step.at is not setting.start.geometric
         if not small or not state.active or settled:
-            return replace(step, found=result)
+            return replace(step, stepwise=result)
         progress(_words_of_refit(state))
         trial = refit(setting.start, state, step.at)
         if not set(before.effects) <= set(state.effects) and worth(trial, state) < worth(step.at, before):
             # A set that is better on the linear model is not on the exact one: whole other sets may be.
-            step, no_better = replace(step, found=replace(result, state=before)), True
+            step, no_better = replace(step, stepwise=replace(result, state=before)), True
             if whole or not fresh:
                 return step
         else:

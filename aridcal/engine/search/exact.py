@@ -176,7 +176,7 @@ def _constants_regained(start: Start, refitted: Fit) -> tuple[Coefficient, ...]:
     if not apart(R, len(constant) - len(dropped)).any():  # sums of the other constants, whatever the effects are
         return ()
     R = triangle(question, theta, refitted.weight, refitted.sigma) * model.sizes
-    identifiable_now = identifiable(R, range(len(theta))).kept
+    identifiable_now = identifiable(R, range(len(theta))).independent
     return tuple(c for k, c in enumerate(model.coefficients) if k >= len(refitted.theta) and k in identifiable_now)
 
 

@@ -123,7 +123,9 @@ def calibrated_arm(
         progress("weighing the rows by what makes them scatter, and fitting again")
         weighed = replace(rows, relative=arm.causes.relative)
         arm = fitted(weighed, weighed_anew(weighed), arm.diagnosed)
-    if arm.diagnosed.found.state.active and not is_better(arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted):
+    if arm.diagnosed.stepwise.state.active and not is_better(
+        arm.diagnosed.fit, arm.geometry.geometric, arm.rows.fitted
+    ):
         progress("constants alone predict held-back rows as well: leaving the effects out")
         arm = fit_arm(question.without_search(), arm.geometry, arm.rows, progress)
         arm = replace(arm, causes=_causes(arm, rows, progress))
@@ -136,7 +138,7 @@ def calibrated_arm(
 
 def _causes(arm: CalibratedArm, rows: Dataset, progress: Progress, shapes: bool = True) -> NoiseCauses | None:
     """Causes of the scatter of a fitted arm; see :func:`noise_causes`."""
-    return noise_causes(arm.diagnosed.fit, arm.diagnosed.found.state.active, rows, progress, shapes)
+    return noise_causes(arm.diagnosed.fit, arm.diagnosed.stepwise.state.active, rows, progress, shapes)
 
 
 def _causes_with_names(arm: CalibratedArm, rows: Dataset, progress: Progress) -> NoiseCauses | None:
@@ -161,7 +163,7 @@ def _share_of_row(rows: Dataset, fit: Fit) -> float:
 def _with_payload_at_target(arm: CalibratedArm) -> Geometry | None:
     """The geometry with the payload at the final model's target; None where that changes no load of an effect."""
     fit, before = arm.diagnosed.fit, arm.geometry.geometric.model.around
-    loads = any(is_load(name) for a in arm.diagnosed.found.state.active for name in a.effect.covariates)
+    loads = any(is_load(name) for a in arm.diagnosed.stepwise.state.active for name in a.effect.covariates)
     lever = fit.model.frames(fit.theta)[1][0][1].translation
     (payload, *others) = before.payloads
     if (

@@ -65,7 +65,7 @@ class Trace:
         motion: A joint, for its own axis, or an axis of a channel: ``x y z rx ry rz``.
         unit: ``m`` or ``rad``.
         covariate: A joint, a measured column, or a load.
-        seen: Covariate of the rows that this motion moves, shape (n,).
+        covariate_values: Covariate of the rows that this motion moves, shape (n,).
         centre: Covariate of slices of these rows, shape (B,).
         std: Standard deviation that noise gives the means of the slices, shape (B,).
         at: Covariate at which the smooth curves through the means were evaluated, shape (G,).
@@ -76,7 +76,7 @@ class Trace:
     motion: str
     unit: str
     covariate: str
-    seen: np.ndarray
+    covariate_values: np.ndarray
     centre: np.ndarray
     std: np.ndarray
     at: np.ndarray
@@ -116,13 +116,13 @@ class Traces:
     Attributes:
         joints: Each joint's own motion over its own position.
         strongest: For each joint, load and column, the motion that depends on it most clearly.
-        asked: Number of pairs of a motion and a covariate that these were chosen from.
+        pairs_tested: Number of pairs of a motion and a covariate that these were chosen from.
         order: Residuals in the order of time.
     """
 
     joints: tuple[Trace, ...]
     strongest: tuple[Trace, ...]
-    asked: int
+    pairs_tested: int
     order: Order
 
 
@@ -163,7 +163,7 @@ def trace(fit: Fit, rows: Dataset, before: np.ndarray, after: np.ndarray, progre
         strongest=tuple(
             _strongest(pulls, name, covariates[name]) for name in progress.over(list(covariates), "covariates")
         ),
-        asked=len(pulls) * len(covariates),
+        pairs_tested=len(pulls) * len(covariates),
         order=_order_of_time(after, rows),
     )
 

@@ -188,7 +188,7 @@ def held_out_whole(state: State, candidate: ActiveEffect) -> float:
     single labels deviate by, says nothing but where its rows are.
     """
     effect = candidate.effect
-    if not EFFECT_KINDS[effect.kind].asked or is_local(effect):
+    if not EFFECT_KINDS[effect.kind].on_request or is_local(effect):
         return 1.0
     places = np.column_stack([state.model.table[name][state.used] for name in effect.covariates])
     middles, _ = spread_out(places, JUDGING_FOLDS)

@@ -58,9 +58,9 @@ class Certainty:
         region: Over the region that the campaign names, or the whole range seen.
         title: What that region is, in words.
         tool: The point on the target that the region is of, in the target's axes, [m].
-        kept: What the region keeps within: of the position, and of the rotation where that was measured; none where no row
+        tolerances: What the region keeps within: of the position, and of the rotation where that was measured; none where no row
             tells.
-        untold: Combinations of constants that no reading tells, and that move the target.
+        open_combinations: Combinations of constants that no reading tells, and that move the target.
     """
 
     anywhere: Workspace
@@ -68,13 +68,13 @@ class Certainty:
     region: Workspace
     title: str
     tool: tuple[float, float, float]
-    kept: tuple[ToleranceAnswer, ...]
-    untold: tuple[OpenCombination, ...]
+    tolerances: tuple[ToleranceAnswer, ...]
+    open_combinations: tuple[OpenCombination, ...]
 
     @property
     def within(self) -> bool:
         """False where a tolerance was given, and is not kept."""
-        return all(part.within is not False for part in self.kept)
+        return all(part.within is not False for part in self.tolerances)
 
 
 @dataclass(frozen=True)
@@ -184,12 +184,12 @@ def as_document(certain: Certainty) -> dict[str, Any]:
         "whole_range": _spread(certain.anywhere),
         "region": {"of": certain.title, **_spread(certain.region)},
     }
-    for part in certain.kept:
+    for part in certain.tolerances:
         unit = "mrad" if part.of == "rotation" else "mm"
         document["region"][part.of] = {
             f"bound_{unit}": 1e3 * part.bound,
             f"calibration_rms_{unit}": 1e3 * part.calibration,
-            f"beyond_rms_{unit}": 1e3 * part.beyond,
+            f"beyond_rms_{unit}": 1e3 * part.excess,
             **({} if part.tolerance is None else _judged(part, unit)),
             "remarks": list(part.remarks),
         }
@@ -215,13 +215,13 @@ def _judged(part: ToleranceAnswer, unit: str) -> dict[str, Any]:
 
 def _spread(part: Workspace) -> dict[str, Any]:
     """Statistics of some configurations where the target is known, 1-sigma in the worst direction."""
-    sigma = np.where(part.told, part.sigma, np.nan)
-    sigma_mm = 1e3 * sigma[part.told]
+    sigma = np.where(part.observable, part.sigma, np.nan)
+    sigma_mm = 1e3 * sigma[part.observable]
     worst = int(np.nanargmax(sigma)) if len(sigma_mm) else None
     return {
         "configurations": len(part),
         "measured": float(part.measured.mean()),
-        "told": float(part.told.mean()),
+        "told": float(part.observable.mean()),
         "sigma_mm": {
             "median": float(np.median(sigma_mm)) if len(sigma_mm) else None,
             "p95": float(np.percentile(sigma_mm, 95)) if len(sigma_mm) else None,

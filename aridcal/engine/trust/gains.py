@@ -43,7 +43,7 @@ class Curve:
         at: Values of the covariate, shape (G,).
         value: The identified motion there, shape (G,).
         std: Its standard deviation, shape (G,).
-        seen: Values of the covariate at the rows, shape (N,).
+        row_values: Values of the covariate at the rows, shape (N,).
         pulled: Motion that each row asks for by itself: its residual pulled back to this place, shape (N,).
     """
 
@@ -53,7 +53,7 @@ class Curve:
     at: np.ndarray
     value: np.ndarray
     std: np.ndarray
-    seen: np.ndarray
+    row_values: np.ndarray
     pulled: np.ndarray
 
 
@@ -128,7 +128,7 @@ def explain(diagnosed: SearchResult, every: Dataset, scored: np.ndarray, clues: 
         scored: Held-out rows without outliers, shape (N,) bool.
         clues: Whether what remains is noise.
     """
-    search = diagnosed.found
+    search = diagnosed.stepwise
     active = search.state.active
     groups: dict[tuple[object, ...], list[int]] = {}
     for k, a in enumerate(active):
@@ -155,7 +155,7 @@ def _named(
         scored: Held-out rows without outliers, shape (N,) bool.
         groups: Numbers of the active parts of each effect, by its identity.
     """
-    search, fit = diagnosed.found, diagnosed.fit
+    search, fit = diagnosed.stepwise, diagnosed.fit
     active = search.state.active
     declared = {e.identity for e in diagnosed.declared}
     fit_problem = problem(fit.model, every)
@@ -188,7 +188,7 @@ def _named(
 
 def _over_time(diagnosed: SearchResult) -> float | None:
     """Position error with whole stretches of time held back, on the linear model; None where no effect depends on time."""
-    linear, state = diagnosed.linear, diagnosed.found.state
+    linear, state = diagnosed.linear, diagnosed.stepwise.state
     of_time = [a for a in state.active if {ROW_ORDER, "time"} & set(a.effect.covariates)]
     if not of_time:
         return None
@@ -262,7 +262,7 @@ def _curves(effect: Effect, diagnosed: SearchResult) -> list[Curve]:
 
 def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], diagnosed: SearchResult) -> Curve:
     """One motion over one covariate, and what each row asks for: its residual pulled back, plus the model's motion."""
-    fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.found.state
+    fit, table, linear, state = diagnosed.fit, diagnosed.observed.table, diagnosed.linear, diagnosed.stepwise.state
     index = [fit.model.names.index(c.name) for c in part]
     theta, covariance = fit.theta[index], fit.covariance[np.ix_(index, index)]
     values = table[name]
@@ -286,7 +286,7 @@ def _curve(where: str, component: str, name: str, part: Sequence[Coefficient], d
         at=grid,
         value=phi @ theta,
         std=np.sqrt(np.maximum(variance, 0.0)),
-        seen=values[telling],
+        row_values=values[telling],
         pulled=(own_motion + motion)[telling],
     )
 

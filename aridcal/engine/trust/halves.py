@@ -233,7 +233,7 @@ def _comparisons(
     N, m, K = rows.J.shape
     things = rows.solved()
     J = rows.J.reshape(N * m, K)
-    none = np.zeros((len(rows.known.left), K))
+    none = np.zeros((len(rows.prior.misfit), K))
     JP, tied = rows.less(rows.J, none, things)
     inverse, spent = pseudo_inverse(J.T @ JP.reshape(N * m, K), HALF_RANK)
     sets, beforehand = _draws(rows, data)
@@ -244,7 +244,7 @@ def _comparisons(
     flat = flat - JP.reshape(N * m, K) @ steps
     beforehand = beforehand - tied @ steps
     squares = np.sum(flat**2, axis=0) + np.sum(beforehand**2, axis=0)
-    numbers = rows.share * rows.there.sum() + len(rows.known.left) - np.sum(things.rank)
+    numbers = rows.share * rows.there.sum() + len(rows.prior.misfit) - np.sum(things.rank)
     freedom = round(float(numbers)) - spent
     least = np.full(flat.shape[1], np.inf)
     for division, side in zip(divided, _sides(rows, divided, of_half, things, flat, data.labels.route), strict=True):
@@ -301,7 +301,7 @@ def _sides(
     """
     N, m, K = rows.J.shape
     if rows.groups is not None:
-        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.known.left), int(of_half.sum())))
+        J, none = rows.J.reshape(N * m, K), np.zeros((len(rows.prior.misfit), int(of_half.sum())))
         for division in divided:
             A = np.where(division.side[:, None, None], rows.J[:, :, of_half], 0.0)
             AP = rows.less(A, none, things)[0].reshape(N * m, -1)
@@ -378,8 +378,8 @@ def _draws(rows: Columns, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
     else:
         draws = rng.standard_normal((N, m, NULL_DRAWS))
     noise = np.where(rows.there[:, :, None], draws, 0.0)
-    beforehand = rng.standard_normal((len(rows.known.left), NULL_DRAWS))
-    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.known.left, beforehand])
+    beforehand = rng.standard_normal((len(rows.prior.misfit), NULL_DRAWS))
+    return np.concatenate([rows.r[:, :, None], noise], axis=2), np.column_stack([rows.prior.misfit, beforehand])
 
 
 def _at_target(target: np.ndarray, of_half: np.ndarray, frames: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ def regions(final: Fit, rows: Dataset, fitted: np.ndarray, effects: Sequence[Eff
         fitted: Rows that the model was fitted to, shape (N,) bool.
         effects: Effects of the final model.
     """
-    varying = [e for e in effects if EFFECT_KINDS[e.kind].asked]
+    varying = [e for e in effects if EFFECT_KINDS[e.kind].on_request]
     if not varying:
         return None
     if any(is_of_labels(e) for e in varying):

@@ -26,8 +26,8 @@ def document(look: SecondLook, train: Dataset) -> dict[str, Any]:
         parts["folds"] = _folds(look.folds, train)
     if look.influence is not None:
         parts["influence"] = _influence(look.influence, train)
-    if look.known is not None:
-        parts["known"] = _known(look.known)
+    if look.identifiability is not None:
+        parts["known"] = _known(look.identifiability)
     return parts
 
 

@@ -93,9 +93,9 @@ class ToleranceAnswer:
         share: Share of the region that is likely within the tolerance, 0 to 1; NaN without a tolerance.
         confidence: Probability that 95 % of the region are within it; NaN without a tolerance.
         calibration: RMS length of the calibration's error over the part that was measured.
-        beyond: RMS length of the error beyond that of the calibration.
+        excess: RMS length of the error beyond that of the calibration.
         measured: Share of the region where similar configurations were measured.
-        told: Share of the region where the readings tell the target.
+        observable_share: Share of the region where the readings tell the target.
         rows: Number of rows that judge: the held-out ones, if there are any.
         held_out: False where no row was held out.
         rows_within: Number of judging rows within the tolerance, the instrument's noise included.
@@ -110,9 +110,9 @@ class ToleranceAnswer:
     share: float
     confidence: float
     calibration: float
-    beyond: float
+    excess: float
     measured: float
-    told: float
+    observable_share: float
     rows: int
     held_out: bool
     rows_within: int
@@ -128,8 +128,10 @@ class ToleranceAnswer:
     @property
     def gap(self) -> str:
         """Why nothing can be said of a part of the region, in words."""
-        if self.told < SHARE:
-            return f"no reading tells a part of what moves the target{' in some of it' if self.told else ''}"
+        if self.observable_share < SHARE:
+            return (
+                f"no reading tells a part of what moves the target{' in some of it' if self.observable_share else ''}"
+            )
         return f"{100 * (1.0 - self.measured):.0f} % of that was not measured"
 
     @property
@@ -263,7 +265,7 @@ def tolerance_answer(
         by_open[:, part], known_model.open, rng
     )
     off += _beyond(excess, off.shape, rng)
-    determined = region.turns_told if turn else region.told
+    determined = region.turns_told if turn else region.observable
     known_places = region.measured & determined
     length = np.where(known_places[:, None], np.linalg.norm(off, axis=1), np.inf)
     quantiles = np.quantile(length, SHARE, axis=0, method="higher")
@@ -279,9 +281,9 @@ def tolerance_answer(
         share=float("nan"),
         confidence=float("nan"),
         calibration=float(np.sqrt(variance.mean())) if known_places.any() else float("nan"),
-        beyond=float(np.sqrt(AXES_OF_A_PLACE) * excess.sigma),
+        excess=float(np.sqrt(AXES_OF_A_PLACE) * excess.sigma),
         measured=float(region.measured.mean()),
-        told=float(determined.mean()),
+        observable_share=float(determined.mean()),
         rows=len(excess.size),
         held_out=excess.held_out,
         rows_within=0,

@@ -298,7 +298,7 @@ class _ProjectedRows:
 
     def _less(self, values: np.ndarray, some: np.ndarray | slice = slice(None)) -> np.ndarray:
         """Right-hand sides of some rows, shape (n, m, d), less what the things take up of them."""
-        nothing = np.zeros((len(self._rows.known.left), values.shape[2]))
+        nothing = np.zeros((len(self._rows.prior.misfit), values.shape[2]))
         return self._rows.less(values, nothing, self._things, some)[0]
 
     def likelihoods(self, spans: Sequence[np.ndarray], variances: np.ndarray, freedom: float) -> np.ndarray:

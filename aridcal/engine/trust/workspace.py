@@ -74,7 +74,7 @@ class Workspace:
         turns: Covariance of the rotation vector, world axes, shape (M, 3, 3), [rad²].
         axes: Base axes in the world, shape (M, 3, 3).
         measured: False where nothing like it was measured: the model extrapolates there, shape (M,).
-        told: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
+        observable: False where the place is not known, because no reading tells a part of what moves it, shape (M,).
         turns_told: False where the rotation is not known, likewise, shape (M,).
     """
 
@@ -85,7 +85,7 @@ class Workspace:
     turns: np.ndarray
     axes: np.ndarray
     measured: np.ndarray
-    told: np.ndarray
+    observable: np.ndarray
     turns_told: np.ndarray
 
     def __len__(self) -> int:
@@ -125,14 +125,14 @@ class Knowledge:
         wide: Its model, with the D constants that were not identified behind its own K coefficients.
         follows: What the coefficients take up of each of the D constants, shape (K, D).
         open: Covariance of the D constants beyond that: what no row tells, shape (D, D).
-        seen: What the fitted rows were like.
+        coverage: What the fitted rows were like.
     """
 
     fit: Fit
     wide: Model
     follows: np.ndarray
     open: np.ndarray
-    seen: Coverage
+    coverage: Coverage
 
     def columns(self, rows: ModelRows, tool: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """How a point on the target moves, and the target turns, with the coefficients and with the open constants.
@@ -178,7 +178,7 @@ class Knowledge:
             unknown[:, some] = [worst_direction(by_open[:, part, part])[0] for part in POSE_PARTS]
         columns = {name: values[like] for name, values in data.conditions.items()}
         columns |= dict(zip(model.robot.readings, readings.T, strict=True))
-        measured, determined = ~self.seen.beyond(columns, std), unknown < KNOWN_TARGET_SIGMA
+        measured, determined = ~self.coverage.beyond(columns, std), unknown < KNOWN_TARGET_SIGMA
         fields = [c.basis for c in model.coefficients if c.basis.form == "ball"]
         if fields:
             nominal = model.target_places(rows, readings)

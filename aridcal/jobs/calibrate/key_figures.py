@@ -76,15 +76,15 @@ class JointRange:
         name: Of the joint.
         kind: ``revolute``, ``continuous`` or ``prismatic``.
         limits: Its lower and upper limit, [rad] or [m]; None if it has none.
-        seen: Its lowest and highest reading, [rad] or [m].
-        share: Its readings, shape (N,): 0 at the lower limit, 1 at the upper one (the ends of ``seen`` without limits).
+        range: Its lowest and highest reading, [rad] or [m].
+        share: Its readings, shape (N,): 0 at the lower limit, 1 at the upper one (the ends of ``range`` without limits).
         measured: Share of the range between the extreme readings; of one turn, where the range is larger.
     """
 
     name: str
     kind: str
     limits: tuple[float, float] | None
-    seen: tuple[float, float]
+    range: tuple[float, float]
     share: np.ndarray
     measured: float
 

@@ -299,7 +299,7 @@ def judge_arm(arm: CalibratedArm, progress: Progress = SILENT) -> JudgedArm:
     answers = clues(*one_each, repeats(inliers, white), _freedom(final), final, progress)
     answers += row_clues(rows, final, residual, outlier)
     answers += _groups(rows, final, residual, outlier)
-    effects = [active.effect for active in arm.diagnosed.found.state.active]
+    effects = [active.effect for active in arm.diagnosed.stepwise.state.active]
     scatter = repeats(inliers, raw)
     freedom = np.zeros(len(rows.channels)) if scatter is None else scatter.freedom
     noise_known = all(s is not None or f > 0 for s, f in zip(rows.sigma, freedom.tolist(), strict=True))
@@ -323,7 +323,9 @@ def _groups(rows: Dataset, final: Fit, residual: np.ndarray, outlier: np.ndarray
 
 def _derived_notices(rows: Dataset, diagnosed: SearchResult) -> tuple[str, ...]:
     """Sentences on effects of a side of approach that was derived from the order of the rows."""
-    needed = [name for a in diagnosed.found.state.active for name in a.effect.covariates if name in rows.origin.derived]
+    needed = [
+        name for a in diagnosed.stepwise.state.active for name in a.effect.covariates if name in rows.origin.derived
+    ]
     return tuple(
         f"{name} is derived from the order of the rows: predict takes the middle between both sides where a table lacks it"
         for name in dict.fromkeys(needed)

@@ -80,7 +80,7 @@ def _without_wander(outcome: Outcome, tails: Sequence[Tails | None]) -> SavedMod
         record,
         {name: gaps for name, v in columns.items() if (gaps := holes(v))},
         largest_deviations,
-        () if outcome.certainty is None else _of_target(outcome.certainty.untold, final, target),
+        () if outcome.certainty is None else _of_target(outcome.certainty.open_combinations, final, target),
         {name: ends(v) for name, v in recorded_values(outcome).items() if name not in columns},
         _rivals(outcome, final, target),
     )

@@ -35,7 +35,7 @@ class CaseFigures:
         size: Of the effect; None where that is not varied.
         runs: Done.
         failed: Runs that came to nothing.
-        found: Share of runs that find the effect, by name or among those that are confounded with what they name.
+        finding_share: Share of runs that find the effect, by name or among those that are confounded with what they name.
         named: Share of runs that name it first.
         others: Share of runs that accept some effect that is not there.
         final: Median error of the final model, in the unit of its channel.
@@ -46,7 +46,7 @@ class CaseFigures:
     size: float | None
     runs: int
     failed: int
-    found: Estimate | None
+    finding_share: Estimate | None
     named: Estimate | None
     others: Estimate
     final: Estimate
@@ -123,7 +123,7 @@ def _point(rows: Sequence[Row]) -> CaseFigures | None:
         size=done[0]["size"],
         runs=len(done),
         failed=len(rows) - len(done),
-        found=share(sum(row["found"] for row in done), len(done)) if sought else None,
+        finding_share=share(sum(row["found"] for row in done), len(done)) if sought else None,
         named=share(sum(row["named"] for row in done), len(done)) if sought else None,
         others=share(sum(row["others"] > 0 for row in done), len(done)),
         final=median(final) if final else Estimate(math.nan, math.nan, math.nan),

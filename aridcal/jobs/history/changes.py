@@ -75,11 +75,11 @@ class Causes:
     """What changed between two calibrations.
 
     Attributes:
-        found: The causes, the surest first.
+        changes: The causes, the surest first.
         rest: Chance of what the causes leave, where nothing else changed.
     """
 
-    found: tuple[NamedChange, ...]
+    changes: tuple[NamedChange, ...]
     rest: float
 
 

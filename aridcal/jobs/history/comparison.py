@@ -72,8 +72,8 @@ def compare(a: SavedModel, b: SavedModel) -> Comparison:
     changes_taken: dict[str, float] = {}
     with_changes = as_they_are
     for _ in range(LARGE_CHANGE_ROUNDS):
-        large = [c for c in causes_found.found[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
-        again = [c for c in causes_found.found if changes_taken and set(c.names) <= set(changes_taken)]
+        large = [c for c in causes_found.changes[:1] if not changes_taken and np.abs(c.value).max() > LARGE_CHANGE]
+        again = [c for c in causes_found.changes if changes_taken and set(c.names) <= set(changes_taken)]
         step = {name: float(value) for c in (*large, *again) for name, value in zip(c.names, c.value, strict=True)}
         if not step or all(
             abs(value - changes_taken.get(name, 0.0)) < LAST_CHANGE_STEP for name, value in step.items()
@@ -132,8 +132,8 @@ def lines(both: Comparison) -> list[str]:
     else:
         sentences = [f"changed: the predicted poses differ by more than the uncertainty of both ({chance})"]
     sentences.append(_sizes(d))
-    sentences += [_cause(c) for c in both.causes.found]
-    if both.changed and not both.causes.found:
+    sentences += [_cause(c) for c in both.causes.changes]
+    if both.changed and not both.causes.changes:
         sentences.append("no single constant, zero or effect explains it")
     elif both.changed and both.causes.rest < FALSE_ALARMS:
         sentences.append(
@@ -245,7 +245,7 @@ def document(comparison: Comparison) -> dict[str, Any]:
                 "p_value": c.p_value,
                 "as_well": list(c.alike),
             }
-            for c in comparison.causes.found
+            for c in comparison.causes.changes
         ],
         "rest_p_value": comparison.causes.rest,
         "constants": constants(comparison),

@@ -81,7 +81,8 @@ def _heat_line(checked: CheckResult) -> list[str]:
     low, high = (f"{value:.4g}" for value in heat.rows)
     of_rows = low if low == high else f"{low} to {high}"
     return [
-        f"{heat.column} {of_rows}, where the calibration saw {heat.seen[0]:.4g} to {heat.seen[1]:.4g}: {heat.beyond:.3g} K "
+        f"{heat.column} {of_rows}, where the calibration saw {heat.calibrated_range[0]:.4g} to {heat.calibrated_range[1]:.4g}: "
+        f"{heat.excess:.3g} K "
         f"more or less move the target by some {MILLI_PER_UNIT * heat.growth:.2g} mm, and shift zeros. What follows may be no "
         f"more "
         "than that: check at the calibration's own temperature before anything is mended"

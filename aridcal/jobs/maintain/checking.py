@@ -73,15 +73,15 @@ class Heat:
     Attributes:
         column: Where they are recorded.
         rows: Lowest and highest of the rows.
-        seen: Lowest and highest of the calibration's own rows.
-        beyond: From these to the farthest new row, [K].
+        calibrated_range: Lowest and highest of the calibration's own rows.
+        excess: From these to the farthest new row, [K].
         growth: Of an arm of this length over that difference, [m].
     """
 
     column: str
     rows: tuple[float, float]
-    seen: tuple[float, float]
-    beyond: float
+    calibrated_range: tuple[float, float]
+    excess: float
     growth: float
 
 
@@ -238,7 +238,7 @@ def _heat(saved: SavedModel, rows: Dataset) -> Heat | None:
         if beyond > RECORDED_MARGIN * (high - low):
             ends = float(np.nanmin(values)), float(np.nanmax(values))
             outside.append(Heat(name, ends, (low, high), beyond, EXPANSION * beyond * saved.span))
-    return max(outside, key=lambda heat: heat.beyond, default=None)
+    return max(outside, key=lambda heat: heat.excess, default=None)
 
 
 def with_unknowns(question: NewRowsQuestion) -> np.ndarray:
@@ -278,7 +278,7 @@ def _next(
         free = question.with_moved(suspect, suspect.sizes[-1])
         place = likely(free)
         B = place.J @ suspect.directions
-        before = replace(place, known=place.J @ question.covariance @ place.J.T + place.shared)
+        before = replace(place, known_covariance=place.J @ question.covariance @ place.J.T + place.shared)
         support = evidence(before, question.times, B, suspect.sizes)
         size = min(ACCEPTED_SIZE_FACTOR * suspect.sizes[support.best], suspect.sizes[-1])
         # Another moved part looks like larger noise: the noise stays as known until it is itself the best explanation.

@@ -175,7 +175,7 @@ class PosteriorMode:
         theta: Shape (K,).
         r: Residuals of the rows about the calibration, to first order about ``theta``, in each row's own sigmas, shape (n,).
         J: Columns there, shape (n, K).
-        known: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
+        known_covariance: Covariance of r that is not noise, J Sigma J' and what follows, shape (n, n).
         shared: Of what the model leaves that neighbouring rows share, shape (n, n).
         root: Inverse of each row's own sigma in that of its channel, shape (n,); 1 without tails.
         beyond: Logarithm of what tails make of the density of normal noise, for each of :data:`NOISE_FACTORS`.
@@ -184,7 +184,7 @@ class PosteriorMode:
     theta: np.ndarray
     r: np.ndarray
     J: np.ndarray
-    known: np.ndarray
+    known_covariance: np.ndarray
     shared: np.ndarray
     root: np.ndarray
     beyond: np.ndarray
@@ -192,7 +192,7 @@ class PosteriorMode:
     @cached_property
     def spectrum(self) -> tuple[np.ndarray, np.ndarray]:
         """Variances (n,) of r without noise, and their axes in columns (n, n): the same for every noise."""
-        variances, axes = np.linalg.eigh(self.known)
+        variances, axes = np.linalg.eigh(self.known_covariance)
         return np.maximum(variances, 0.0), axes
 
     def whitened(self, values: np.ndarray, times: float) -> np.ndarray:
@@ -269,7 +269,7 @@ def _beyond(squares: np.ndarray, weight: np.ndarray, size: np.ndarray, tails: np
 def covariance_of(question: NewRowsQuestion, place: PosteriorMode) -> np.ndarray:
     """Covariance of the most likely coefficients, shape (K, K); Joseph's form, which rounding cannot make negative."""
     P = question.covariance
-    S = question.times**2 * np.eye(len(place.r)) + place.known
+    S = question.times**2 * np.eye(len(place.r)) + place.known_covariance
     gain = np.linalg.solve(S, place.J @ P).T
     left = np.eye(len(P)) - gain @ place.J
     return np.asarray(left @ P @ left.T + gain @ (question.times**2 * np.eye(len(S)) + place.shared) @ gain.T)

@@ -75,7 +75,7 @@ class MergeResult:
         tips: See ``still``.
         tracker: The tracker's log, in SI.
         tracked: Its standstills, speeds in [m/s].
-        found: Windows behind the rows, K of them.
+        pairs: Windows behind the rows, K of them.
         averages: Of these windows.
         off: Measured minus nominal at each row, frames fitted, shape (K, 3), [m].
         unpaired: Standstills that make no row.
@@ -91,7 +91,7 @@ class MergeResult:
     tips: np.ndarray
     tracker: TrackerRows
     tracked: Standstills
-    found: Pairs
+    pairs: Pairs
     averages: Averages
     off: np.ndarray
     unpaired: tuple[UnpairedStandstill, ...]

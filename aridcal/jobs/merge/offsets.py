@@ -43,7 +43,7 @@ class JudgedCandidate:
     """A candidate, how near the nominal robot comes at the standstills that it pairs, and for how long it is contradicted."""
 
     candidate: Candidate
-    found: Pairs
+    pairs: Pairs
     share: float
     contrary: tuple[float, float]
 
@@ -84,8 +84,8 @@ def best_offset(
                 "alike for 20 s. Check that both are of one motion, and that the URDF is this robot's"
             )
         raise too_few(joints.log, tracker, most_pairs)
-    fullest = max(len(one.found) for one, _ in fits)
-    rivals = [one for one in fits if len(one[0].found) >= RIVAL_PAIR_SHARE * fullest]
+    fullest = max(len(one.pairs) for one, _ in fits)
+    rivals = [one for one in fits if len(one[0].pairs) >= RIVAL_PAIR_SHARE * fullest]
     best = min(rivals, key=lambda one: one[0].share)
     if best[0].share > STRANGE_SHARE:
         raise MeasurementError(

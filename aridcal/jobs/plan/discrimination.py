@@ -137,7 +137,11 @@ def discriminating_candidates(
     parts = [[number[c] for c in effect.coefficients] for effect in hypotheses]
     own_columns = {number[c] for _, part in effects for c in part}
     base = np.array(
-        [k for k in (*range(unknowns.things), *(unknowns.things + k for k in unknowns.kept)) if k not in own_columns]
+        [
+            k
+            for k in (*range(unknowns.things), *(unknowns.things + k for k in unknowns.coefficients))
+            if k not in own_columns
+        ]
     )
     sizes = np.concatenate([np.ones(unknowns.things), wide.model.sizes])
     information = flat.T @ flat + np.diag(1.0 / (UNTOLD_SIGMA * sizes) ** 2)

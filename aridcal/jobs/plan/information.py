@@ -30,18 +30,18 @@ class CandidateInformation:
 
     Attributes:
         candidates: In sigmas, shape (C, p, D).
-        known: Information without the candidates, shape (D, D).
+        prior_information: Information without the candidates, shape (D, D).
         measured: Information without the candidates and without :data:`UNTOLD_SIGMA`, shape (D, D).
         things: Number of unknowns of things.
-        kept: Indices of the model's coefficients, in the order of the other unknowns.
+        coefficients: Indices of the model's coefficients, in the order of the other unknowns.
         sizes: What of each unknown counts as much as a metre or a radian, shape (D,).
     """
 
     candidates: np.ndarray
-    known: np.ndarray
+    prior_information: np.ndarray
     measured: np.ndarray
     things: int
-    kept: tuple[int, ...]
+    coefficients: tuple[int, ...]
     sizes: np.ndarray
 
 
@@ -60,7 +60,7 @@ def candidate_information(setup: PlanSetup, candidates: Candidates, n: int) -> C
     count = width - len(setup.theta)
     R = np.asarray(np.linalg.qr(all_rows, mode="r"))
     sizes = np.concatenate([np.ones(count), setup.model.sizes])
-    kept = identifiable(R[count:, count:] * sizes[count:], range(len(setup.theta))).kept
+    kept = identifiable(R[count:, count:] * sizes[count:], range(len(setup.theta))).independent
     asked_about = _columns(count, kept)
     flat = flat[:, asked_about]
     measured = flat.T @ flat
@@ -77,7 +77,9 @@ def candidate_information(setup: PlanSetup, candidates: Candidates, n: int) -> C
 
 def rows_of(setup: PlanSetup, unknowns: CandidateInformation, candidates: Candidates) -> np.ndarray:
     """Rows of other candidates in the same unknowns, in sigmas, shape (C, p, D)."""
-    return stack_by_candidate(whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.kept)], candidates)
+    return stack_by_candidate(
+        whitened(setup, candidates)[:, :, _columns(unknowns.things, unknowns.coefficients)], candidates
+    )
 
 
 def whitened(setup: PlanSetup, candidates: Candidates) -> np.ndarray:
@@ -192,9 +194,9 @@ def target_columns(
     tool = np.array(setup.campaign.region.tool)
     J = shifted(J, R @ tool) if tool.any() else J
     parts_columns = []
-    for part in parts or [unknowns.kept]:
-        columns = np.zeros((len(readings), 3, unknowns.things + len(unknowns.kept)))
-        for place, k in enumerate(unknowns.kept):
+    for part in parts or [unknowns.coefficients]:
+        columns = np.zeros((len(readings), 3, unknowns.things + len(unknowns.coefficients)))
+        for place, k in enumerate(unknowns.coefficients):
             if k in part:
                 columns[:, :, unknowns.things + place] = J[:, :3, k]
         parts_columns.append(columns)

@@ -115,7 +115,7 @@ def _growth(without: np.ndarray, covariance: np.ndarray, part: list[int]) -> flo
 def suspects(setup: PlanSetup, unknowns: CandidateInformation) -> tuple[tuple[str, ...], list[list[int]]]:
     """Names of the effects among the unknowns, by place and covariates, and the indices of each one's unknowns."""
     parts: dict[str, list[int]] = {}
-    for number, k in enumerate(unknowns.kept):
+    for number, k in enumerate(unknowns.coefficients):
         c = setup.model.coefficients[k]
         if not c.basis.constant:
             parts.setdefault(_title(c), []).append(unknowns.things + number)
@@ -132,7 +132,7 @@ def indices(setup: PlanSetup, unknowns: CandidateInformation, rows: np.ndarray) 
     """
     flat = rows.reshape(-1, rows.shape[2])
     information = (unknowns.measured + flat.T @ flat) * unknowns.sizes * unknowns.sizes[:, None]
-    expected = np.isfinite(setup.prior[list(unknowns.kept)])
+    expected = np.isfinite(setup.prior[list(unknowns.coefficients)])
     judged = np.flatnonzero(np.concatenate([np.ones(unknowns.things, dtype=bool), ~expected]))
     return observability(information[np.ix_(judged, judged)], unknowns.things, len(setup.rows) + len(rows))
 

@@ -175,7 +175,7 @@ def design(setup: PlanSetup, request: PlanRequest, progress: Progress = SILENT) 
         sigma=tuple(sigma_of(extended, order[:count]) for count in sorted(counts)),
         random=observed_sigma(float(np.median(random))),
         indices=indices(setup, unknowns, rows),
-        unknowns=len(unknowns.kept),
+        unknowns=len(unknowns.coefficients),
         measured=len(setup.rows),
         notices=(*setup.notices, *_of_region(setup, request), *notices),
         kept_out=setup.kept_out,
@@ -208,14 +208,19 @@ def question(
     setup, parts = with_pair(setup, request.apart, candidates)
     unknowns = candidate_information(setup, candidates, request.n)
     for name, part in zip(request.apart, parts, strict=True):
-        if not set(part) & set(unknowns.kept):
+        if not set(part) & set(unknowns.coefficients):
             raise CampaignError(
                 f"--apart {','.join(request.apart)}: no configuration tells {name} from the other one and from the constants: "
                 "the data of this kind cannot"
             )
     target = np.concatenate([target_columns(setup, unknowns, region, k, parts) for k in ends(setup)])
     choice = RowChoice(
-        unknowns.candidates, unknowns.known, target, np.ones(len(target)), unknowns.things, request.criterion
+        unknowns.candidates,
+        unknowns.prior_information,
+        target,
+        np.ones(len(target)),
+        unknowns.things,
+        request.criterion,
     )
     return choice, unknowns
 

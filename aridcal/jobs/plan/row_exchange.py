@@ -49,7 +49,7 @@ class RowChoice:
 
     Attributes:
         rows: Of each candidate, in sigmas, shape (C, p, D), filled up with zeros.
-        known: Information without the candidates, shape (D, D), positive definite.
+        prior_information: Information without the candidates, shape (D, D), positive definite.
         target: How the target moves at the places of the region, shape (R, 3, D), [m].
         weight: Of each place, shape (R,), with mean 1.
         solved_for: Number of the first unknowns, places of instruments, which are solved for but not judged.
@@ -57,7 +57,7 @@ class RowChoice:
     """
 
     rows: np.ndarray
-    known: np.ndarray
+    prior_information: np.ndarray
     target: np.ndarray
     weight: np.ndarray
     solved_for: int
@@ -73,7 +73,7 @@ class RowChoice:
     def information(self, chosen: Sequence[int] | np.ndarray) -> np.ndarray:
         """M with some candidates measured, shape (D, D)."""
         F = self.rows[list(chosen)].reshape(-1, self.rows.shape[2])
-        return np.asarray(self.known + F.T @ F)
+        return np.asarray(self.prior_information + F.T @ F)
 
     def variances(self, information: np.ndarray) -> np.ndarray:
         """Covariance of the target at each place, shape (R, 3, 3), [m²]."""

@@ -260,7 +260,9 @@ def make_causes(
         places = sight_table(robot, readings, around.sights, np.atleast_2d(around.gravity)[0], at_tip)
     table |= places
     referred = dict.fromkeys(held or {}, len(readings))
-    rows = ObservedRows(robot, table, tuple(columns), held=held or {}, referred=referred, masses=around.masses)
+    rows = ObservedRows(
+        robot, table, tuple(columns), stated_components=held or {}, referred=referred, masses=around.masses
+    )
     causes = []
     for e in effects:
         ranges: dict[str, tuple[float, float]] = {}

@@ -269,7 +269,7 @@ def true_head(
     """
     head, place = head_of(settings), f"{scenario.path}: truth"
     phi, causes = head.phi.copy(), []
-    observed = ObservedRows(robot, {}, (), held=head_things(head).held)
+    observed = ObservedRows(robot, {}, (), stated_components=head_things(head).held)
     for e in scenario.truth.effects:
         if is_of_head(e.kind):
             effect = declared(observed, e, place)

@@ -398,7 +398,9 @@ def scene(outcome: Outcome) -> Scene:
         measured = (outcome.at_target.places + shifts["final"])[rows]
     parts = outcome.parts()
     scored = parts["test"] if parts["test"].any() else ~outcome.outlier
-    reach = None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.told)
+    reach = (
+        None if outcome.certainty is None else outcome.certainty.anywhere.select(outcome.certainty.anywhere.observable)
+    )
     return Scene(
         nominal=robot,
         calibrated=calibrated,

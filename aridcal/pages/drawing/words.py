@@ -172,7 +172,7 @@ def tolerance_in_words(outcome: Outcome, asked: bool) -> list[tuple[bool, str]]:
         asked: Of what a tolerance was given for; else of the rest.
     """
     certainty = outcome.certainty
-    parts = () if certainty is None else certainty.kept
+    parts = () if certainty is None else certainty.tolerances
     of_these = [part for part in parts if asked == (part.tolerance is not None)]
     if asked and not outcome.verdict.for_controller:
         return [

@@ -167,9 +167,9 @@ def enough(outcome: Outcome) -> Iterator[Content]:
     placed = known_scale_sigma(outcome.measurements) is not None
     certainty = outcome.certainty
     sigma = {"at the fitted rows": 1e3 * precision.position}
-    if certainty is not None and certainty.anywhere.told.any():
-        sigma["over the whole joint range"] = 1e3 * certainty.anywhere.sigma[certainty.anywhere.told]
-    placed = placed and (certainty is None or bool(certainty.anywhere.told.any()))
+    if certainty is not None and certainty.anywhere.observable.any():
+        sigma["over the whole joint range"] = 1e3 * certainty.anywhere.sigma[certainty.anywhere.observable]
+    placed = placed and (certainty is None or bool(certainty.anywhere.observable.any()))
     yield _pictures(joints, sigma if placed else {})
     named = {f"{name} [mm]": values for name, values in sigma.items() if placed}
     if outcome.measurements.sees_turns:
@@ -209,7 +209,7 @@ def _joint_table(joints: list[JointRange]) -> Markup:
     """Limits and measured range of every joint."""
     lines: list[list[Content]] = []
     for j in joints:
-        limits, measured = range_in_words(j.limits, j.kind), range_in_words(j.seen, j.kind)
+        limits, measured = range_in_words(j.limits, j.kind), range_in_words(j.range, j.kind)
         lines.append([tag("code", j.name), limits, measured, f"{100 * j.measured:.0f} %"])
     head = ["joint", "limits", "measured", "share of the range, or of one turn"]
     return table(head, lines, "Joint ranges of the fitted rows")

@@ -104,7 +104,7 @@ def _joints(outcome: Outcome, progress: Progress) -> Iterator[Content]:
         caption = [
             tag("code", trace.motion),
             f": {_in_words(outcome, trace, len(traces))}",
-            cloud_caption(len(trace.seen)),
+            cloud_caption(len(trace.covariate_values)),
         ]
         drawn.append((caption, _picture(outcome, f"joint-{k}", trace)))
     waving = sum(corrected(trace.after.p_value, len(traces)) <= FALSE_ALARM for trace in traces)
@@ -155,12 +155,12 @@ def _picture(outcome: Outcome, key: str, trace: Trace) -> Markup:
     }
     alt = f"Remaining error as a motion of {trace.motion}, over {trace.covariate}"
     labels = (f"{trace.covariate}{unit}", f"{trace.motion} [{_unit(trace)}]")
-    return panels(key, alt, scale * trace.seen, values, labels, trends)
+    return panels(key, alt, scale * trace.covariate_values, values, labels, trends)
 
 
 def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     """On which joint, load or column anything depends."""
-    traces, tests = clear_traces(outcome), outcome.traces.asked
+    traces, tests = clear_traces(outcome), outcome.traces.pairs_tested
     if not traces:
         return
     clear = [trace for trace in traces if significant(trace, tests)]
@@ -181,14 +181,14 @@ def _strongest(outcome: Outcome, progress: Progress) -> Iterator[Content]:
     drawn: list[tuple[Content, Markup]] = []
     for k, trace in enumerate(progress.over(worth[:MOST_TRACES], "pictures of dependences")):
         names = [tag("code", trace.motion), " over ", tag("code", trace.covariate)]
-        caption = [*names, f": {_in_words(outcome, trace, tests)}", cloud_caption(len(trace.seen))]
+        caption = [*names, f": {_in_words(outcome, trace, tests)}", cloud_caption(len(trace.covariate_values))]
         drawn.append((caption, _picture(outcome, f"trace-{k}", trace)))
     yield fold(title, said, _trace_table(outcome, traces[:MOST_TRACES]), figures(drawn))
 
 
 def _trace_table(outcome: Outcome, traces: list[Trace]) -> Markup:
     """Size and p-value of some dependences."""
-    tests = outcome.traces.asked
+    tests = outcome.traces.pairs_tested
     lines: list[list[Content]] = []
     for trace in traces:
         sizes = [_size(trace, course) for course in _models(outcome, trace).values()]

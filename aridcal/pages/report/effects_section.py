@@ -89,14 +89,14 @@ def _curve(outcome: Outcome, key: str, effect: NamedEffect, motion: Curve) -> tu
     moved, size = shown_unit(motion.unit)
     label = effect.effect.label
     alt = f"{label}: {motion.component} over {motion.covariate}"
-    rows = (scale * motion.seen, size * motion.pulled)
+    rows = (scale * motion.row_values, size * motion.pulled)
     labels = (f"{motion.covariate}{unit}", f"{motion.component} [{moved}]")
     periods = max(effect.effect.order, default=0.0) * float(np.ptp(motion.at)) / (2 * math.pi)
     at, value, std = scale * motion.at, size * motion.value, size * motion.std
     picture = curve(key, alt, at, value, std, rows, labels, winding=periods > MOST_PERIODS_OF_A_NARROW_FIGURE)
     span, sigma = number(float(np.ptp(value))), number(float(np.median(std)), 2)
     range_and_sigma = f"{span} {moved} peak to peak, known to {sigma} {moved} (median 1σ)"
-    said = f", {motion.component} over {motion.covariate}: {range_and_sigma}{cloud_caption(len(motion.seen))}"
+    said = f", {motion.component} over {motion.covariate}: {range_and_sigma}{cloud_caption(len(motion.row_values))}"
     return [tag("code", label), said], picture
 
 

@@ -138,7 +138,7 @@ def _influence(outcome: Outcome, influence: Influence) -> Markup:
 
 def combinations_section(outcome: Outcome) -> Iterator[Content]:
     """Combinations of constants from the best known to the worst, and minimal sets."""
-    constants = None if outcome.second_look is None else outcome.second_look.known
+    constants = None if outcome.second_look is None else outcome.second_look.identifiability
     if constants is None:
         return
     robot = outcome.robot

@@ -105,14 +105,14 @@ def _stated(saved: SavedModel, reading: int) -> float:
 
 
 def _numbers(given: str, count: int) -> tuple[float, ...]:
-    wanted = f"--zeros {given}: should be {count} numbers with commas between them, one for each axis of the arm"
+    expected = f"--zeros {given}: should be {count} numbers with commas between them, one for each axis of the arm"
     try:
         numbers = tuple(float(part) for part in given.split(","))
     except ValueError:
-        raise CampaignError(f"{wanted}, as in --zeros {','.join(['0'] * count)}") from None
+        raise CampaignError(f"{expected}, as in --zeros {','.join(['0'] * count)}") from None
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
         raise CampaignError(
-            f"{wanted}, in the program's units: what the controller shows where the URDF's joint is at 0"
+            f"{expected}, in the program's units: what the controller shows where the URDF's joint is at 0"
         )
     return numbers
 
@@ -195,14 +195,14 @@ def zeros_hint(targets: Sequence[Target], positions: Sequence[Sequence[np.ndarra
     joints = [_shown(target, cell) for target in targets if target.form == "joints" and target.readings is not None]
     witnesses = _Witnesses(cell, poses, joints)
     as_is = cell.axes.zeros or (0.0,) * len(off)
-    meant = tuple(float(zero) for zero in np.array(as_is) + off)
+    zeros = tuple(float(zero) for zero in np.array(as_is) + off)
     agreeing, within = witnesses.agree(as_is), witnesses.within(as_is)
     spoken = len(poses) - sum(agreeing) >= LEAST_WITNESSES and sum(agreeing) <= BY_CHANCE * len(poses)
     if not spoken and all(within):
         return ""
-    if sum(witnesses.agree(meant)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(meant)):
+    if sum(witnesses.agree(zeros)) < (1.0 - COPIED) * len(poses) or not all(witnesses.within(zeros)):
         return ""
-    return _sentence(language, off, meant, (agreeing, within))
+    return _sentence(language, off, zeros, (agreeing, within))
 
 
 def senses_hint(cell: Cell, language: str) -> str:
@@ -288,7 +288,7 @@ def _off(cell: Cell, language: str) -> np.ndarray | None:
 
 
 def _sentence(
-    language: str, off: np.ndarray, meant: Sequence[float], verdicts: tuple[Sequence[bool], Sequence[bool]]
+    language: str, off: np.ndarray, zeros: Sequence[float], verdicts: tuple[Sequence[bool], Sequence[bool]]
 ) -> str:
     maker, letter = MAKERS[language]
     axes = " and ".join(f"{letter}{k + 1} zero is {abs(off[k]):.0f}° off this URDF's" for k in np.flatnonzero(off))
@@ -299,5 +299,5 @@ def _sentence(
     ]
     return (
         f"{maker}'s {axes}: {' and '.join(against)} of the program say so. State --zeros "
-        f"{','.join(f'{zero:g}' for zero in meant)}, or robot.controller_zeros in the campaign"
+        f"{','.join(f'{zero:g}' for zero in zeros)}, or robot.controller_zeros in the campaign"
     )

@@ -83,11 +83,11 @@ Fits = Callable[[np.ndarray], bool]
 
 def flanges(robot: Robot, readings: np.ndarray) -> np.ndarray:
     """T_base_tip of the nominal arm in many configurations, shape (n, 4, 4)."""
-    found = np.zeros((len(readings), 4, 4))
+    T_base_flange = np.zeros((len(readings), 4, 4))
     if len(readings):
-        found[:, :3, :3], found[:, :3, 3] = tip_frames(robot, readings)
-    found[:, 3, 3] = 1.0
-    return found
+        T_base_flange[:, :3, :3], T_base_flange[:, :3, 3] = tip_frames(robot, readings)
+    T_base_flange[:, 3, 3] = 1.0
+    return T_base_flange
 
 
 def flange(robot: Robot, readings: np.ndarray) -> np.ndarray:
@@ -192,9 +192,9 @@ class Controller:
             )
         return float(far.max())
 
-    def too_far(self, wanted: np.ndarray) -> np.ndarray:
+    def too_far(self, poses: np.ndarray) -> np.ndarray:
         """Poses that are further away than the arm gets, whatever its joints do, shape (n,)."""
-        apart = np.linalg.norm(wanted[:, :3, 3] - self.robot.onward[0].translation, axis=1)
+        apart = np.linalg.norm(poses[:, :3, 3] - self.robot.onward[0].translation, axis=1)
         drawn_out = ~self.inverse.turning & ~np.isfinite(self.inverse.high - self.inverse.low)
         return np.asarray((apart > REACH_FACTOR * self.reach) & (not drawn_out.any()))
 
@@ -204,21 +204,21 @@ class Controller:
         none = np.full(len(self.inverse.low), np.inf)
         return replace(self.inverse, low=-none, high=none)
 
-    def redundant(self, held: np.ndarray) -> bool:
+    def redundant(self, fixed: np.ndarray) -> bool:
         """Whether the arm may reach a pose in ways without number, so that each depends on the one before by small amounts."""
-        free = np.isnan(held) & (self.inverse.low < self.inverse.high)
+        free = np.isnan(fixed) & (self.inverse.low < self.inverse.high)
         return bool((free.sum(axis=1) > 6).any())
 
     def settle(
-        self, wanted: np.ndarray, seeds: np.ndarray, held: np.ndarray, steps: int = MOST_STEPS
+        self, poses: np.ndarray, seeds: np.ndarray, fixed: np.ndarray, steps: int = MOST_STEPS
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Where a search from each seed ends, shape (n, columns); whether the tip is there, (n,); and the Jacobian there."""
-        found = self.inverse.approach(wanted, seeds, held, {}, steps)
-        return found.readings, self._there(found), found.J
+        end = self.inverse.approach(poses, seeds, fixed, {}, steps)
+        return end.readings, self._there(end), end.J
 
-    def _there(self, found: SearchEnd) -> np.ndarray:
-        allowed = MOST_UNAVOIDABLE if found.readings.shape[1] < 6 else REACHED_TOLERANCE
-        off = np.maximum(np.linalg.norm(found.error[:, :3], axis=1), np.linalg.norm(found.error[:, 3:], axis=1))
+    def _there(self, end: SearchEnd) -> np.ndarray:
+        allowed = MOST_UNAVOIDABLE if end.readings.shape[1] < 6 else REACHED_TOLERANCE
+        off = np.maximum(np.linalg.norm(end.error[:, :3], axis=1), np.linalg.norm(end.error[:, 3:], axis=1))
         return np.asarray(off < allowed)
 
     # --- the nearest position -------------------------------------------------------------------------------------------
@@ -237,37 +237,37 @@ class Controller:
         Returns:
             Readings, shape (n, columns), those that it comes from where there is none; and whether there is one.
         """
-        found, there = near.copy(), np.zeros(len(poses), dtype=bool)
+        positions, there = near.copy(), np.zeros(len(poses), dtype=bool)
         every = np.arange(len(poses))
         searched = np.array([poses.key(k) in memory for k in every.tolist()], dtype=bool) if memory else every < 0
-        left, far = every[~searched], searched.copy()
+        remaining, far = every[~searched], searched.copy()
         for seeds, steps, close in ((guess, 0, 1.0), (near, MOST_STEPS, SAME_BRANCH_FACTOR)):
-            some, at = poses[left], near[left]
-            q, reached, J = self.settle(some.wanted, seeds[left], some.held, steps)
+            some, at = poses[remaining], near[remaining]
+            q, reached, J = self.settle(some.wanted, seeds[remaining], some.held, steps)
             q = self._turned_towards(q, at, some.held)
             inside = ((q >= self.inverse.low - SAME_POSITION) & (q <= self.inverse.high + SAME_POSITION)).all(axis=1)
             ok = reached & inside & self._alone(q, at, J, some.held, close)
             for k in np.flatnonzero(ok).tolist():
                 fits = some.fits[k]
                 ok[k] = fits is None or fits(q[k])
-            found[left[ok]], there[left[ok]] = q[ok], True
-            far[left] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR_START)
-            left = left[~ok]
-        self._around(poses, near, left[~far[left]], found, there)
-        self._everywhere(poses, near, every[~there], found, there, memory)
-        return found, there
+            positions[remaining[ok]], there[remaining[ok]] = q[ok], True
+            far[remaining] = ~reached | (np.linalg.norm(q - at, axis=1) > FAR_START)
+            remaining = remaining[~ok]
+        self._around(poses, near, remaining[~far[remaining]], positions, there)
+        self._everywhere(poses, near, every[~there], positions, there, memory)
+        return positions, there
 
-    def _turned_towards(self, q: np.ndarray, near: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _turned_towards(self, q: np.ndarray, near: np.ndarray, fixed: np.ndarray) -> np.ndarray:
         """Readings (n, columns) turned by whole turns to be as near to others as may be."""
-        return q + TURN * np.where(self.inverse.turning & np.isnan(held), np.round((near - q) / TURN), 0.0)
+        return q + TURN * np.where(self.inverse.turning & np.isnan(fixed), np.round((near - q) / TURN), 0.0)
 
-    def _alone(self, q: np.ndarray, near: np.ndarray, J: np.ndarray, held: np.ndarray, close: float) -> np.ndarray:
+    def _alone(self, q: np.ndarray, near: np.ndarray, J: np.ndarray, fixed: np.ndarray, close: float) -> np.ndarray:
         r"""Whether no other position is likely to be as near to where the arm comes from, shape (n,).
 
         Along a straight line d in the readings the tip's way is :math:`J d + \frac{1}{2} H d^2`; it is back at its place for
         :math:`|d| \ge 2 \sigma_{min}(J) / |H|` at the earliest, and the curvature H is the arm's length at most, or thereabouts.
         """
-        free = np.isnan(held) & (self.inverse.low < self.inverse.high)
+        free = np.isnan(fixed) & (self.inverse.low < self.inverse.high)
         A = J * free[:, None]
         back = A.transpose(0, 2, 1)
         H = A @ back if A.shape[2] >= 6 else back @ A
@@ -276,17 +276,19 @@ class Controller:
         smallest = np.sqrt(np.maximum(np.linalg.eigvalsh(H)[:, 0], 0.0))
         return np.asarray(np.linalg.norm(q - near, axis=1) * max(self.reach, 1.0) < close * smallest)
 
-    def _around(self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray) -> None:
+    def _around(
+        self, poses: Poses, near: np.ndarray, rows: np.ndarray, positions: np.ndarray, there: np.ndarray
+    ) -> None:
         """Look around where some rows come from; fills in what is found."""
         draws = np.random.default_rng(0).standard_normal((AROUND, near.shape[1]))
         kicks = np.vstack([np.zeros(near.shape[1]), KICK * draws])
         for some in _parts(rows, len(kicks)):
             self._choose(
-                poses, near, some, *self._from(poses[some], near[some][:, None] + kicks, self.inverse), found, there
+                poses, near, some, *self._from(poses[some], near[some][:, None] + kicks, self.inverse), positions, there
             )
 
     def _everywhere(
-        self, poses: Poses, near: np.ndarray, rows: np.ndarray, found: np.ndarray, there: np.ndarray, memory: Memory
+        self, poses: Poses, near: np.ndarray, rows: np.ndarray, positions: np.ndarray, there: np.ndarray, memory: Memory
     ) -> None:
         """Look over all readings for some rows, once for each pose; fills in what is found."""
         rows = rows[~self.too_far(poses.wanted[rows])]
@@ -295,7 +297,7 @@ class Controller:
             memory[poses.key(k)] = ends
         for k in rows.tolist():
             ends = memory[poses.key(k)]
-            self._choose(poses, near, np.array([k]), ends[None], np.ones((1, len(ends)), dtype=bool), found, there)
+            self._choose(poses, near, np.array([k]), ends[None], np.ones((1, len(ends)), dtype=bool), positions, there)
 
     def within_limits(self, pose: Poses, ends: np.ndarray) -> bool:
         """Whether any of the positions (positions, columns) of one pose, whatever its posture, is within the limits."""
@@ -303,13 +305,13 @@ class Controller:
 
     def _different(self, ends: np.ndarray) -> np.ndarray:
         """The different positions among ends of searches, shape (tries, columns), whole turns apart counted as one."""
-        kept: list[np.ndarray] = []
+        different: list[np.ndarray] = []
         for end in ends:
-            off = np.array(kept).reshape(-1, len(end)) - end
+            off = np.array(different).reshape(-1, len(end)) - end
             off -= TURN * np.where(self.inverse.turning, np.round(off / TURN), 0.0)
             if not (np.abs(off).max(axis=1) < SAME_POSITION).any():
-                kept.append(end)
-        return np.array(kept).reshape(-1, ends.shape[1])
+                different.append(end)
+        return np.array(different).reshape(-1, ends.shape[1])
 
     def _choose(
         self,
@@ -318,7 +320,7 @@ class Controller:
         rows: np.ndarray,
         ends: np.ndarray,
         reached: np.ndarray,
-        found: np.ndarray,
+        positions: np.ndarray,
         there: np.ndarray,
     ) -> None:
         """Take the nearest position of each row that some searches (rows, tries, columns) ended at."""
@@ -332,18 +334,18 @@ class Controller:
             if ok.any() and sure[best]:  # whatever is turned otherwise is further away
                 fits = poses.fits[k]
                 if fits is None or fits(turned[best]):
-                    found[k], there[k] = turned[best], True
+                    positions[k], there[k] = turned[best], True
                     continue
             first = next(iter(self._distinct(own[ok], poses.held[k], near[k], poses.fits[k])), None)
             if first is not None:
-                found[k], there[k] = first, True
+                positions[k], there[k] = first, True
 
     def _from(self, poses: Poses, seeds: np.ndarray, inverse: InverseRows) -> tuple[np.ndarray, np.ndarray]:
         """Ends of searches from several seeds each, (n, tries, columns), and which are there, (n, tries)."""
         n, tries, columns = seeds.shape
-        wanted, held = np.repeat(poses.wanted, tries, axis=0), np.repeat(poses.held, tries, axis=0)
-        found = inverse.approach(wanted, seeds.reshape(-1, columns), held, {})
-        return found.readings.reshape(n, tries, columns), self._there(found).reshape(n, tries)
+        wanted, fixed = np.repeat(poses.wanted, tries, axis=0), np.repeat(poses.held, tries, axis=0)
+        ends = inverse.approach(wanted, seeds.reshape(-1, columns), fixed, {})
+        return ends.readings.reshape(n, tries, columns), self._there(ends).reshape(n, tries)
 
     def _drawn(self, n: int, count: int) -> np.ndarray:
         """Starts over the joints' ranges, the same for each of n rows, shape (n, count, columns); once round is enough."""
@@ -384,22 +386,22 @@ class Controller:
             if chain.joints[k]:
                 here = np.where(np.isnan(chain.given[k]), here, chain.given[k])
             elif (k - start) % ANCHORS == 0 or k == end - 1:
-                wanted, held = chain.poses.wanted[k], chain.poses.held[k]
-                stays = np.isfinite(held)
-                low, high = (np.where(stays, held, limit) for limit in (self.one.low, self.one.high))
+                wanted, fixed = chain.poses.wanted[k], chain.poses.held[k]
+                stays = np.isfinite(fixed)
+                low, high = (np.where(stays, fixed, limit) for limit in (self.one.low, self.one.high))
                 command = replace(self.one, low=low, high=high).command(wanted[:3, :3], wanted[:3, 3], here, {})
                 here = command.readings if command.reached else here
             else:
                 continue
             anchors.append(k)
             seeds.append(here)
-        rows, known = np.arange(start, end), np.array(seeds)
-        found = np.column_stack([np.interp(rows, anchors, column) for column in known.T])
+        rows, anchor_positions = np.arange(start, end), np.array(seeds)
+        guesses = np.column_stack([np.interp(rows, anchors, column) for column in anchor_positions.T])
         own = np.flatnonzero(~chain.joints[start:end])
-        held = chain.poses.held[start + own]
-        q, reached, _ = self.settle(chain.poses.wanted[start + own], found[own], held, QUICK)
-        found[own[reached]] = self._turned_towards(q, found[own], held)[reached]
-        return found
+        fixed = chain.poses.held[start + own]
+        q, reached, _ = self.settle(chain.poses.wanted[start + own], guesses[own], fixed, QUICK)
+        guesses[own[reached]] = self._turned_towards(q, guesses[own], fixed)[reached]
+        return guesses
 
     def _swept(
         self,
@@ -431,13 +433,13 @@ class Controller:
         new = np.where(np.isnan(chain.given[rows]), come, chain.given[rows])
         own = np.flatnonzero(~chain.joints[rows])
         near = np.where(np.isnan(chain.near[rows[own]]), come[own], chain.near[rows[own]])
-        found, there[rows[own]] = self.nearest(chain.poses[rows[own]], near, q[rows[own]], memory)
-        new[own] = np.where(there[rows[own]][:, None], found, come[own])
+        positions, there[rows[own]] = self.nearest(chain.poses[rows[own]], near, q[rows[own]], memory)
+        new[own] = np.where(there[rows[own]][:, None], positions, come[own])
         return new
 
-    def _apart(self, one: np.ndarray, other: np.ndarray, held: np.ndarray) -> np.ndarray:
+    def _apart(self, one: np.ndarray, other: np.ndarray, fixed: np.ndarray) -> np.ndarray:
         """How far readings (n, columns) are from others but for whole turns, shape (n,)."""
-        return np.asarray(np.abs(self._turned_towards(one, other, held) - other).max(axis=1, initial=0.0))
+        return np.asarray(np.abs(self._turned_towards(one, other, fixed) - other).max(axis=1, initial=0.0))
 
     def _wound(
         self,
@@ -500,29 +502,29 @@ class Controller:
 
     def searched(self, poses: Poses, count: int = STARTS) -> list[np.ndarray]:
         """Ends of searches over all readings that get to each pose, (positions, columns), beyond limits and of any posture."""
-        found = []
+        positions = []
         for some in _parts(np.arange(len(poses)), count):
             part, seeds = poses[some], self._drawn(len(some), count)
             ends, ok = self._from(part, seeds, self.inverse if self.redundant(part.held) else self.unlimited)
-            found += [self._different(own[reached]) for own, reached in zip(ends, ok, strict=True)]
-        return found
+            positions += [self._different(own[reached]) for own, reached in zip(ends, ok, strict=True)]
+        return positions
 
-    def _distinct(self, ends: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> list[np.ndarray]:
+    def _distinct(self, ends: np.ndarray, fixed: np.ndarray, near: np.ndarray, fits: Fits | None) -> list[np.ndarray]:
         """The different positions among ends of searches (tries, columns) that fit, the nearest first."""
-        found: list[np.ndarray] = []
+        positions: list[np.ndarray] = []
         for end in self._different(ends):
-            q = self._turned(end, held, near, fits)
+            q = self._turned(end, fixed, near, fits)
             if q is not None:
-                found.append(q)
-        return sorted(found, key=lambda q: float(np.sum((q - near) ** 2)))
+                positions.append(q)
+        return sorted(positions, key=lambda q: float(np.sum((q - near) ** 2)))
 
-    def _turned(self, q: np.ndarray, held: np.ndarray, near: np.ndarray, fits: Fits | None) -> np.ndarray | None:
+    def _turned(self, q: np.ndarray, fixed: np.ndarray, near: np.ndarray, fits: Fits | None) -> np.ndarray | None:
         """The same position with joints turned by whole turns: as near as may be, or the nearest way in which it fits."""
-        nearest = self._turned_towards(q, near, held)
+        nearest = self._turned_towards(q, near, fixed)
         inside = (nearest >= self.inverse.low - SAME_POSITION) & (nearest <= self.inverse.high + SAME_POSITION)
         if inside.all() and (fits is None or fits(nearest)):
             return nearest
-        ways = self._ways(nearest, np.isnan(held) & self.inverse.turning, near)
+        ways = self._ways(nearest, np.isnan(fixed) & self.inverse.turning, near)
         return next((way for way in ways if fits is None or fits(way)), None)
 
     def _ways(self, q: np.ndarray, turning: np.ndarray, near: np.ndarray) -> list[np.ndarray]:

@@ -36,17 +36,17 @@ def reachable_programs(
         calls: Names that each calls.
         names: Which a name means.
     """
-    found: dict[int, None] = {}
+    reachable: dict[int, None] = {}
     waiting = list(start)
     while waiting:
         k = waiting.pop()
-        if k not in found:
-            found[k] = None
+        if k not in reachable:
+            reachable[k] = None
             waiting += [names[name] for name in calls[k] if name in names]
-    return frozenset(found)
+    return frozenset(reachable)
 
 
 def uncalled_programs(walked: Sequence[int], calls: Sequence[Sequence[str]], names: Mapping[str, int]) -> Iterator[int]:
     """Programs that none of the others calls."""
-    called = {names[name] for k in walked for name in calls[k] if name in names and names[name] != k}
-    return (k for k in walked if k not in called)
+    callees = {names[name] for k in walked for name in calls[k] if name in names and names[name] != k}
+    return (k for k in walked if k not in callees)

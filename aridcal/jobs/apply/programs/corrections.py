@@ -142,10 +142,10 @@ def _changes(target: Target, texts: str, words: str) -> Iterator[TextChange]:
 def no_corrections(targets: Sequence[Target]) -> Corrections:
     """Targets of which none is corrected, each with its own reason, if any: to be filled in."""
     n = len(targets)
-    moved, before, after = (np.full((n, 2), np.nan) for _ in range(3))
+    shift, before, after = (np.full((n, 2), np.nan) for _ in range(3))
     why, remark, texts, words = [target.why for target in targets], [""] * n, [""] * n, [""] * n
     one, none = np.ones(n, dtype=int), np.zeros(n)
-    return Corrections(targets, why, remark, texts, words, moved, before, after, one, none, none.copy())
+    return Corrections(targets, why, remark, texts, words, shift, before, after, one, none, none.copy())
 
 
 def joined_corrections(parts: Sequence[Corrections]) -> Corrections:
@@ -158,18 +158,21 @@ def joined_corrections(parts: Sequence[Corrections]) -> Corrections:
     return Corrections(**{own.name: column(own.name) for own in fields(Corrections)})
 
 
-def as_table(found: Corrections) -> dict[str, np.ndarray]:
+def as_table(corrections: Corrections) -> dict[str, np.ndarray]:
     """The corrections of each move, columns with one row a target; millimetres and milliradians."""
-    left = found.left
-    moved, after = np.where(left[:, None], 0.0, found.moved), np.where(left[:, None], found.before, found.after)
+    left = corrections.left
+    moved, after = (
+        np.where(left[:, None], 0.0, corrections.moved),
+        np.where(left[:, None], corrections.before, corrections.after),
+    )
     columns: dict[str, Any] = {
-        "line": np.array([target.line for target in found.targets], dtype=int),
-        "target": [printable(target.name) for target in found.targets],
-        "written_as": [target.form for target in found.targets],
+        "line": np.array([target.line for target in corrections.targets], dtype=int),
+        "target": [printable(target.name) for target in corrections.targets],
+        "written_as": [target.form for target in corrections.targets],
         "corrected": ~left,
         "remark": [
             printable(why or _remark(*remark))
-            for why, *remark in zip(found.why, found.remark, found.beside, strict=True)
+            for why, *remark in zip(corrections.why, corrections.remark, corrections.beside, strict=True)
         ],
     }
     names = (
@@ -177,10 +180,10 @@ def as_table(found: Corrections) -> dict[str, np.ndarray]:
         ("error_before_mm", "error_before_mrad"),
         ("error_after_mm", "error_after_mrad"),
     )
-    for pair, values in zip(names, (moved, found.before, after), strict=True):
+    for pair, values in zip(names, (moved, corrections.before, after), strict=True):
         columns |= dict(zip(pair, np.round(1e3 * values.T, TABLE_DIGITS), strict=True))
-    columns["arm_positions"] = found.positions
-    columns["other_position_mm"] = np.round(1e3 * found.doubt, TABLE_DIGITS)
+    columns["arm_positions"] = corrections.positions
+    columns["other_position_mm"] = np.round(1e3 * corrections.doubt, TABLE_DIGITS)
     return {
         name: np.asarray(column, dtype=object if isinstance(column, list) else None) for name, column in columns.items()
     }

@@ -118,7 +118,7 @@ def _meant(targets: Sequence[Target], same: dict[object, Any]) -> ExpectedTarget
 
 
 def corrected(
-    language: Language, project: Project, cell: Cell, said: Sequence[ExpectedTargets], edited: Sequence[EditedText]
+    language: Language, project: Project, cell: Cell, expected: Sequence[ExpectedTargets], edited: Sequence[EditedText]
 ) -> tuple[str, ...]:
     """The new text of each file, proved.
 
@@ -126,17 +126,17 @@ def corrected(
         language: Of the project.
         project: As it is.
         cell: That it was read for.
-        said: What the targets that were read from it say.
+        expected: What the targets that were read from it say.
         edited: The new text of each file.
 
     Raises:
         Unproved: naming what is wrong.
     """
     texts = [own.text for own in edited]
-    again, count = language.read(project.with_texts(texts), cell).targets, sum(map(len, said))
+    again, count = language.read(project.with_texts(texts), cell).targets, sum(map(len, expected))
     if len(again) != count:
         raise ProofFailure(f"{count} targets were read, of the new text {len(again)}")
-    for before, after in zip(said, expected_targets(again), strict=True):
+    for before, after in zip(expected, expected_targets(again), strict=True):
         _check(before, after)
         _check_numbers(before, after, edited)
     return tuple(texts)
@@ -253,7 +253,7 @@ def _check_rest(text: str, ends: np.ndarray, texts: Sequence[str], own: EditedTe
         if before != after:
             raise ProofFailure("the text between the numbers is another one")
         places = zip(starts[rows].tolist(), texts[rows], strict=True)
-        wrong = next((said for start, said in places if not own.text.startswith(said, start)), None)
+        wrong = next((expected for start, expected in places if not own.text.startswith(expected, start)), None)
         if wrong is not None:
             raise ProofFailure(f"{wrong} does not stand where it should")
     end = int(ends[-1]) if len(ends) else 0
@@ -270,10 +270,10 @@ def _check_numbers(before: ExpectedTargets, after: ExpectedTargets, edited: Sequ
         starts[rows], lengths[rows] = edited[file].meant(starts[rows], lengths[rows])
     spans = zip(files.tolist(), starts.tolist(), (starts + lengths).tolist(), strict=True)
     there = [edited[file].text[start:end] for file, start, end in spans]
-    moved = starts != np.array(after.starts, dtype=np.int64)
-    if NUL.join(there) != after.texts or moved.any():
+    shifted = starts != np.array(after.starts, dtype=np.int64)
+    if NUL.join(there) != after.texts or shifted.any():
         new = after.texts.split(NUL)
-        k = next(k for k in range(len(new)) if there[k] != new[k] or moved[k])
+        k = next(k for k in range(len(new)) if there[k] != new[k] or shifted[k])
         where = before.where(int(np.searchsorted(np.cumsum(before.counts), k, "right")))
         raise ProofFailure(f"{where}: {there[k]} was meant in place of {old[k]}, the new text has {new[k]}")
 

@@ -51,9 +51,9 @@ def read_project(paths: Sequence[Path], out: Path) -> LoadedProject:
     Raises:
         AridcalError: there is none, they are of several languages, or a file cannot be read.
     """
-    named = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
-    named += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
-    files = {os.path.realpath(file): (file, Path(name)) for file, name in named}
+    named_files = [(file, file.name) for path in paths if not path.is_dir() for file in (path,)]
+    named_files += [(file, str(file.relative_to(path))) for path in paths if path.is_dir() for file in _below(path)]
+    files = {os.path.realpath(file): (file, Path(name)) for file, name in named_files}
     ours = {
         real: (file, name)
         for real, (file, name) in files.items()

@@ -239,8 +239,8 @@ class _Reader:
 
     def _branch_of_select(self, text: str, instruction: Instruction) -> bool:
         """Whether an instruction is a branch of a SELECT."""
-        opened = bool(self._choice)
-        if text.startswith("SELECT ") or (opened and text.startswith(("=", "ELSE,"))):
+        is_open = bool(self._choice)
+        if text.startswith("SELECT ") or (is_open and text.startswith(("=", "ELSE,"))):
             if text.startswith("SELECT "):
                 self._end_select()
             self._choice.append(self._conditional(text, instruction))
@@ -349,8 +349,10 @@ class _Reader:
         for match in POINT.finditer(text):
             index = match.group(1).split(",")[0]
             point = int(index) if short(index) else ANY
-            written = match.start() == 0 and text[match.end() : match.end() + 1] == "="
-            self.flow.uses.append((point, start, "sets it anew" if written else "takes its numbers for something else"))
+            is_assigned = match.start() == 0 and text[match.end() : match.end() + 1] == "="
+            self.flow.uses.append(
+                (point, start, "sets it anew" if is_assigned else "takes its numbers for something else")
+            )
 
 
 def read_flow(program: int, listing: Listing) -> Flow:

@@ -142,15 +142,15 @@ class Meaning:
 
     # the state
 
-    def begin(self, state: ProgramState, written: Mapping[str, Mapping[int, str]]) -> None:
-        """The state in which a program is started; ``written``: frames and tools that some given program sets, and where."""
+    def begin(self, state: ProgramState, frame_texts: Mapping[str, Mapping[int, str]]) -> None:
+        """The state in which a program is started; ``frame_texts``: frames and tools that some given program sets, and where."""
         for family, stated in (("frame", self._given.frames), ("tool", self._given.tools)):
-            if -1 in written[family]:
-                state.forget_family(family, written[family][-1])
+            if -1 in frame_texts[family]:
+                state.forget_family(family, frame_texts[family][-1])
                 continue
             for number, value in stated.items():
                 state.set(family, number, value)
-            for number, why in written[family].items():
+            for number, why in frame_texts[family].items():
                 state.forget(family, number, why)
         state.set("points", None, True)
         state.set("modes", None, ())
@@ -347,14 +347,14 @@ class Meaning:
 
     def _shift(self, what: Action, does: str, state: ProgramState) -> np.ndarray | None:
         """The way by which a move goes aside, [m]; None where it is not certain."""
-        named = next(dict(fields).get("register") for option, fields in what.options if option.does == does)
-        if named is None:
+        index = next(dict(fields).get("register") for option, fields in what.options if option.does == does)
+        if index is None:
             condition = state.get(does)
             if not isinstance(condition, tuple):
                 return None
             register = condition[1] if condition[1] == state.get("register", condition[0]) else None
         else:
-            register = state.get("register", int(named)) if short(named) else None
+            register = state.get("register", int(index)) if short(index) else None
         return register.shift if isinstance(register, Register) else None
 
     def _base(self, point: Point, state: ProgramState, line: str) -> object:

@@ -231,8 +231,8 @@ class _Reader:
         motion = now.modes["motion"]
         trouble = self._control.lost_to_machine(now.modes) if machine else now.trouble
         why = doubt or trouble or (motion.why if isinstance(motion, Unknown) else "")
-        known = not why
-        zero = (Zero() if machine else self._control.zero(now.modes)) if known else None
+        is_certain = not why
+        zero = (Zero() if machine else self._control.zero(now.modes)) if is_certain else None
         if motion == ARC:
             why = why or "is no straight move: arcs are left"
         if machine:
@@ -244,11 +244,11 @@ class _Reader:
                 why
                 or f"does not state {letters_of(missing, self._letters)}, and no plain move before says where that is"
             )
-        held = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
+        unmoved = tuple([(k, place) for k, place in enumerate(now.at) if k not in axes and isinstance(place, tuple)])
         key: Key = (block.file, block.line)
         for k in axes:
             now.last[k] = key if not isinstance(now.modes["distance"], Unknown) else now.last[k]
-        if known:
+        if is_certain:
             for k in axes:
                 now.at[k] = key
         else:
@@ -268,7 +268,7 @@ class _Reader:
                 ]
             )
         base, tool = (zero.base, zero.tool) if zero is not None else (HERE, HERE)
-        self.record.add(Move(block, axes, readings, units, held, base, tool, why), self._line(block))
+        self.record.add(Move(block, axes, readings, units, unmoved, base, tool, why), self._line(block))
         if not why:
             self._remember(block, own)
 

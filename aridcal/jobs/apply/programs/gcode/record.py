@@ -114,15 +114,15 @@ class MoveRecord:
 
     def _settled(self, target: Target, wild: str, last: dict[int, Key]) -> Target:
         move = self._moves.pop((target.file, target.line))
-        used = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
+        user = next((self._axes_used[k] for k in move.axes if k in self._axes_used), "")
         stale = any(last[k] != source for k, source in move.held)
-        why = target.why or wild or used or (MET if stale or move.key in self._met else "")
-        known = bool(move.readings) and move.key not in self._met
-        for k in move.axes if known else range(self.columns):
-            last[k] = move.key if known else ELSEWHERE
+        why = target.why or wild or user or (MET if stale or move.key in self._met else "")
+        is_certain = bool(move.readings) and move.key not in self._met
+        for k in move.axes if is_certain else range(self.columns):
+            last[k] = move.key if is_certain else ELSEWHERE
         if not why:
             return target
-        if not known:
+        if not is_certain:
             return replace(target, why=why, readings=None, units=())
         return replace(target, why=why, readings=self._readings(move), units=move.units)
 

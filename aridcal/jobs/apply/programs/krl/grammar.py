@@ -56,8 +56,8 @@ class _Block:
 class Reader(Motions):
     """Reads one file; see :class:`Notes`."""
 
-    def __init__(self, file: File, names: Names, said: ProjectFacts) -> None:
-        super().__init__(file, names, said)
+    def __init__(self, file: File, names: Names, facts: ProjectFacts) -> None:
+        super().__init__(file, names, facts)
         self._blocks: list[_Block] = []
         self._labels: set[str] = set()
         self._gotos: list[tuple[str, int]] = []
@@ -164,11 +164,11 @@ class Reader(Motions):
         self._blocks = [_Block("def", [[]])]
         self._labels, self._gotos = set(), []
         scope = f"{self._file.module}/{name}"
-        taken = []
+        branches = []
         for parameter, by_value in parameters:
             self._names.declare(scope, parameter, "", False)
-            taken.append((self._variable(parameter, 0), by_value))
-        self._said.parameters[f"{self._file.index}/{name}"] = taken
+            branches.append((self._variable(parameter, 0), by_value))
+        self._said.parameters[f"{self._file.index}/{name}"] = branches
 
     def _end(self, place: int) -> None:
         if len(self._blocks) != 1:

@@ -59,25 +59,25 @@ class Meaning(Values):
 
     def __init__(
         self,
-        said: ProjectFacts,
+        facts: ProjectFacts,
         names: Names,
         points: Points,
         constants: Mapping[Element, object],
         begin: Mapping[Element, object],
     ) -> None:
-        super().__init__(said, constants)
-        self._said, self._names, self._points = said, names, points
+        super().__init__(facts, constants)
+        self._said, self._names, self._points = facts, names, points
         self._begin = begin
         self._stated = points.cell.frames
-        written = {mention.variable.key for mention in said.writes.values()}
+        assigned_keys = {mention.variable.key for mention in facts.writes.values()}
         self.arrays = sorted(
-            {m.variable.key for m in said.writes.values() if m.variable.index is not None and m.variable.shared}
+            {m.variable.key for m in facts.writes.values() if m.variable.index is not None and m.variable.shared}
             | {key for key, index in begin if index and ":" not in key}
         )
         self._ignoring = any("#ignore" in code.plain for code in points.codes)
         self._outside = EXTERNAL[len(points.cell.axes.external) :]
         self._moved_outside = any(_TOLD_OUTSIDE.search(code.plain) for code in points.codes)
-        self._oddities = sorted(said.odd | {key for key in written if _odd(key, points.cell)})
+        self._oddities = sorted(facts.odd | {key for key in assigned_keys if _odd(key, points.cell)})
 
     def start(self) -> ProgramState:
         """The state in which a program begins."""
@@ -334,9 +334,9 @@ class Meaning(Values):
         """Note where a move sends external axes that the robot of the calibration does not have."""
         if not self._moved_outside:
             return
-        told = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
-        if told:
-            axis = next((axis for axis, place in told if place), "")
+        axis_values = [(axis, own.value) for axis in self._outside if isinstance(own := value.fields.get(axis), Number)]
+        if axis_values:
+            axis = next((axis for axis, place in axis_values if place), "")
             why = f"{self._line(move)} tells external axis {axis.upper()} a place, and the URDF does not have that axis"
             state.set("outside", None, why if axis else "")
 
@@ -352,8 +352,8 @@ class Meaning(Values):
 
     def _stance(self, move: Move, value: Aggregate, use: Use, stated: bool, state: ProgramState) -> None:
         """Note whether it is known how the arm stands behind a move."""
-        read = not value.why and not use.trouble and value.place not in self._points.spoilt
-        if not read:
+        is_readable = not value.why and not use.trouble and value.place not in self._points.spoilt
+        if not is_readable:
             self._unread(move, state)
         elif stated or (value.jointed and value.fields.keys() >= set(AXES[: len(self._points.cell.axes.arm)])):
             state.set("stance", None, True)

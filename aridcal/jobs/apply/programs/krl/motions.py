@@ -95,24 +95,24 @@ class Motions(Notes):
         if at < 0:
             raise MalformedStatement
         self._said_in(rest[:at])
-        done = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
-        if done.peek(1) == "(":
-            call = done.expression()
+        remainder = Line(rest[at + 1 :], self._file.index, self._low, self._text, self._resolved, self._routine_key)
+        if remainder.peek(1) == "(":
+            call = remainder.expression()
             if not isinstance(call, Function):
                 raise MalformedStatement
             what: Function | Assignment = call
             if self._call(call) and call.routine == call.name and call.name not in table.PACKAGES:
                 self._said.missing.add(call.name)
         else:
-            to = done.variable(done.take())
-            done.take("=")
-            what = Assignment(to, done.expression())
+            to = remainder.variable(remainder.take())
+            remainder.take("=")
+            what = Assignment(to, remainder.expression())
             self._written(what)
-            if done.calls:
+            if remainder.calls:
                 raise MalformedStatement
-        if not done.ended:
-            done.take("prio")
-            done.take("=")
-            done.expression()
-        done.close()
+        if not remainder.ended:
+            remainder.take("prio")
+            remainder.take("=")
+            remainder.expression()
+        remainder.close()
         self._said.threads.append(Thread(what, self._file, first.start))

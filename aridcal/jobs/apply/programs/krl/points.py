@@ -123,14 +123,14 @@ class Points:
             readings = axes.readings(turned, units)
             why = why or ("" if turned else "states no axis that this robot has")
             return Target(line, name, "joints", Numbers(turned), why, readings, units, digits=5, file=file)
-        held = self._free.copy() if axes.external else self._free
+        fixed = self._free.copy() if axes.external else self._free
         for axis, column in zip(EXTERNAL, axes.external, strict=False):
             if axis in stated:
-                held[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
+                fixed[column] = axes.unit(column, DEGREE, MILLIMETRE) * stated[axis].value
         words = None
         if not why and value.place in self._jumps and use.mode != "shifted":  # else S and T are not asked for
             words = krl_words(stated.get("s"), stated.get("t"), self.cell)
-        branch = Branch(words, None, held, nearest=words is None or not value.states_posture, unknown=use.unknown)
+        branch = Branch(words, None, fixed, nearest=words is None or not value.states_posture, unknown=use.unknown)
         return Target(
             line,
             name,

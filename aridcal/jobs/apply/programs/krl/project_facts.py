@@ -111,8 +111,8 @@ class Notes:
         said: Of the project, which all is added to.
     """
 
-    def __init__(self, file: File, names: Names, said: ProjectFacts) -> None:
-        self._file, self._names, self._said = file, names, said
+    def __init__(self, file: File, names: Names, facts: ProjectFacts) -> None:
+        self._file, self._names, self._said = file, names, facts
         self._low, self._text = file.code.plain, file.code.text
         self._routine = ""
 

@@ -27,12 +27,12 @@ class Values:
         constants: Values of variables that nothing writes.
     """
 
-    def __init__(self, said: ProjectFacts, constants: Mapping[Element, object]) -> None:
+    def __init__(self, facts: ProjectFacts, constants: Mapping[Element, object]) -> None:
         self._constants = constants
-        self.foot = foot(said)
-        on = {v.key for _, v, value in said.values if v.key.endswith("_on") and not _false(value)}
-        written = {mention.variable.key for mention in said.writes.values()}
-        self._shifted = sorted(table.CORRECTIONS & (written | on))
+        self.foot = foot(facts)
+        on = {v.key for _, v, value in facts.values if v.key.endswith("_on") and not _false(value)}
+        assigned_keys = {mention.variable.key for mention in facts.writes.values()}
+        self._shifted = sorted(table.CORRECTIONS & (assigned_keys | on))
 
     def value(self, expression: Expression, state: ProgramState) -> object:
         """What an expression is: an :class:`Aggregate`, a Frame, a Number, a Word, or Unknown."""
@@ -159,9 +159,9 @@ def inverse_of(frame: object) -> object:
     return Frame(inverse(frame.T)) if isinstance(frame, Frame) and frame is not HERE else frame
 
 
-def foot(said: ProjectFacts) -> Frame | Unknown:
+def foot(facts: ProjectFacts) -> Frame | Unknown:
     """Where the foot of the robot is in the world of the controller, by $ROBROOT of its machine data."""
-    given = [value for _, variable, value in said.values if variable.key == "$robroot"]
+    given = [value for _, variable, value in facts.values if variable.key == "$robroot"]
     if not given:
         return HERE
     value = given[0]

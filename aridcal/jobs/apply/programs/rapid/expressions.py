@@ -220,18 +220,18 @@ class Expressions:
         value = self.compile(bound, *span, loops)
         if isinstance(value, Constant):
             return value if isinstance(value.value, Frame) else Constant(convert(text, value.value))
-        kept = self._kept
+        cache = self._kept
 
         def frame(state: ProgramState) -> object:
             now = value(state)
             if not isinstance(now, tuple):
                 return now if isinstance(now, Frame) else convert(text, now)
             try:
-                if (text, now) not in kept:
-                    kept[text, now] = convert(text, now)
+                if (text, now) not in cache:
+                    cache[text, now] = convert(text, now)
             except TypeError:  # a frame stands in it where numbers belong: such a value has no hash
                 return convert(text, now)
-            return kept[text, now]
+            return cache[text, now]
 
         return frame
 
@@ -262,9 +262,9 @@ class Expressions:
                 return self.compile(bound, start + 1, end - 1, loops, deep - 1)
             parts = [self.compile(bound, *span, loops, deep - 1) for span in code.arguments(start + 1, end - 1)]
             return _together(parts, lambda values: values)
-        called = CALLED.match(code.plain, start, end)
-        if called is not None and code.closing(called.end() - 1) == end - 1:
-            return self._function(bound, fold(called.group(1)), called.end(), end - 1, loops, deep)
+        call = CALLED.match(code.plain, start, end)
+        if call is not None and code.closing(call.end() - 1) == end - 1:
+            return self._function(bound, fold(call.group(1)), call.end(), end - 1, loops, deep)
         return self._arithmetic(bound, start, end, loops, deep)
 
     def _read(self, bound: BoundRoutine, name: str, place: int, end: int, loops: tuple[str, ...], deep: int) -> Value:

@@ -253,20 +253,20 @@ class _Reader:
         if (bare := re.search(r"\r(?!\n)", self.code.text)) is not None:
             raise MalformedStatement(bare.start(), "a line ends in a bare carriage return: save it with line feeds")
         self._shallow()
-        found: list[Module] = []
+        modules: list[Module] = []
         while (header := MODULE.match(self.plain, self.place)) is not None:
             self.place = header.end()
             module = Module(self.code, header.group(1))
             self._module(module, "endmodule")
-            found.append(module)
-        if not found:
+            modules.append(module)
+        if not modules:
             module = Module(self.code, "")
             self._module(module, "")
-            found.append(module)
+            modules.append(module)
         self._space()
         if self.place < len(self.plain):
             raise MalformedStatement(self.place, "text stands behind the module")
-        return found
+        return modules
 
     def _shallow(self) -> None:
         """Make sure that brackets do not stand in brackets without end."""

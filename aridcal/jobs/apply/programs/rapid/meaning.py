@@ -546,12 +546,12 @@ class Meaning:
         if not isinstance(goal, Point) or goal.literal.why:
             state.forget(*OUTSIDE, f"{line} moves them to a place that is worked out")
             return
-        told = self._outside(goal.literal)
-        if told:
-            axis = "abcdef"[next(iter(told))]
-            moved = any(told.values())
+        axis_values = self._outside(goal.literal)
+        if axis_values:
+            axis = "abcdef"[next(iter(axis_values))]
+            any_moves = any(axis_values.values())
             why = f"{line} tells external axis eax_{axis} a place, and the URDF does not have that axis"
-            state.set(*OUTSIDE, why if moved else "")
+            state.set(*OUTSIDE, why if any_moves else "")
 
     def _outside(self, own: Literal) -> Mapping[int, float]:
         """Places of external axes that the robot of the calibration does not have, by their index, zeros last."""

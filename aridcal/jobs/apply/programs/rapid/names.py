@@ -220,10 +220,10 @@ class Names:
 
     def begin_with(self, module: Module, prefix: str) -> list[str]:
         """Keys of all procedures that a module sees and whose names begin like this."""
-        seen = {**self._globals, **{name: key for (owner, name), key in self._calls.items() if owner == id(module)}}
+        scope = {**self._globals, **{name: key for (owner, name), key in self._calls.items() if owner == id(module)}}
         return [
             key
-            for name, key in seen.items()
+            for name, key in scope.items()
             if name.startswith(prefix) and name not in self._twice and self.routines[key].routine.kind == "proc"
         ]
 
@@ -319,8 +319,8 @@ class Names:
             keys = self.begin_with(bound.module, prefix) if prefix else []
             if prefix and whole:
                 keys = [key for key in keys if key.split(" ", 1)[1] == prefix]
-            for named in keys:
-                self._pass_on(bound, self.routines[named], given, why)
+            for parameter in keys:
+                self._pass_on(bound, self.routines[parameter], given, why)
             if not keys and not (whole and prefix in self.harmless):
                 if not whole:
                     self.scattered = self.scattered or f"{why[:-11]} calls a procedure by a worked out name"

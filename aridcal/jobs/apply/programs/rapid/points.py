@@ -68,11 +68,11 @@ class Targets:
             stated = (*numbers, *(n for n, _ in rails))
             readings = axes.readings(stated, units)
             return Target(line, own.name, "joints", Numbers(stated), "", readings, units, digits=5, file=code.file)
-        held = self._free
+        fixed = self._free
         for value, k in self.rails(own):
-            held = held.copy()
-            held[k] = value
+            fixed = fixed.copy()
+            fixed[k] = value
         words = rapid_words(own.configuration, self.cell) if use.mode == "on" else None
         unknown = "" if words is not None else use.unknown
-        branch = Branch(words, None, held, nearest=use.mode != "on", unknown=unknown)
+        branch = Branch(words, None, fixed, nearest=use.mode != "on", unknown=unknown)
         return Target(line, own.name, "pose", own.numbers, "", None, (), ABB, use.place, beside, branch, file=code.file)

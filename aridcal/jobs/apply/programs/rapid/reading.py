@@ -55,17 +55,17 @@ def _modules(project: Project, codes: tuple[Code, ...]) -> tuple[list[Module], l
     notes: list[str] = []
     for source, code in zip(project.sources, codes, strict=True):
         try:
-            found = modules(code)
+            modules_of_file = modules(code)
         except MalformedStatement as problem:
             if not source.ours and MODULE.search(code.plain) is None:
                 notes.append(f"{source.path}: is no RAPID: not looked at")
                 continue
             raise _Broken(_broken(code, codes, problem)) from None
-        twice = None if source.ours else _clash(given, found)
+        twice = None if source.ours else _clash(given, modules_of_file)
         if twice:
             notes.append(f"{source.path}: declares {twice}, too, so that it is part of another program: not looked at")
         else:
-            given += found
+            given += modules_of_file
     return given, notes
 
 
@@ -76,10 +76,10 @@ def _broken(code: Code, codes: tuple[Code, ...], problem: MalformedStatement) ->
     return Target(line, name, "pose", NONE, why, file=code.file)
 
 
-def _clash(given: list[Module], found: list[Module]) -> str:
+def _clash(given: list[Module], modules_of_file: list[Module]) -> str:
     """A name that modules of one task cannot both declare for all; empty where there is none."""
-    seen = {name for module in given for name in _global_names(module)}
-    return next((name for module in found for name in _global_names(module) if fold(name) in seen), "")
+    names = {name for module in given for name in _global_names(module)}
+    return next((name for module in modules_of_file for name in _global_names(module) if fold(name) in names), "")
 
 
 def _global_names(module: Module) -> list[str]:

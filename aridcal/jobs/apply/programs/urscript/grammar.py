@@ -394,8 +394,8 @@ class Parser:
             return
         if token.kind not in ("name", "move", "list", "pose"):  # p[2] may be an element of a variable p
             raise _Garbled("is no statement of URScript")
-        read = _STATEMENTS.get(token.text, Parser._expression_statement)
-        read(self, token)
+        reader = _STATEMENTS.get(token.text, Parser._expression_statement)
+        reader(self, token)
         after = self._tokens[self._at]
         if after.kind not in ("line", "name", "move", "note"):
             raise _Garbled(f"{after.text} is not understood there")
@@ -672,14 +672,14 @@ class Parser:
     def _calls(self, name: str, arguments: Arguments, at: Spot) -> Expression:
         routines = self._routines.get(name, ())
         self._routine.calls.update(routines)
-        called = FunctionCall(name, arguments, at, routines)
+        call = FunctionCall(name, arguments, at, routines)
         if len(routines) > 1 or (routines and name in RULES):
             self._pending.append(Step(NoStatement((), (), f"{name} is defined more than once", at)))
         elif routines:
-            self._pending.append(Call(routines[0], called))
+            self._pending.append(Call(routines[0], call))
         elif name not in RULES:
-            self._pending.append(Call(name, called))
-        return called
+            self._pending.append(Call(name, call))
+        return call
 
     def _run(self, depth: int) -> Expression:
         name = self._take("name")

@@ -238,9 +238,9 @@ class Meaning:
         if self._scopes.shared:
             state.forget_family(SHARED, "several functions set it: declare it `global` before, or `local`")
 
-    def _bound(self, called: FunctionCall, parameters: tuple[str, ...], state: ProgramState) -> dict[str, object]:
+    def _bound(self, call: FunctionCall, parameters: tuple[str, ...], state: ProgramState) -> dict[str, object]:
         """The values of a function's arguments, by the names of its parameters."""
-        return {name: self._value(value, state) for name, value in _named(called, parameters).items()}
+        return {name: self._value(value, state) for name, value in _named(call, parameters).items()}
 
     def _line(self, at: Spot) -> str:
         return line_name(self._codes, self._codes[at[0]], at[1])
@@ -366,15 +366,15 @@ class Meaning:
         return Unknown(f"{line} works it out while the program runs")
 
     def _run(self, run: Run, state: ProgramState) -> object:
-        called, line = run.called, self._line(run.called.at)
-        for _, argument in called.arguments:
+        call, line = run.called, self._line(run.called.at)
+        for _, argument in call.arguments:
             self._spend(self._value(argument, state), f"{line} passes it on to a thread")
-        if not called.routines:
-            self.absent(called, called.name, state)
+        if not call.routines:
+            self.absent(call, call.name, state)
         assert self.walk is not None
-        for key in called.routines:
+        for key in call.routines:
             keys = [k for k in self.walk.writes(key, state) if k[0] not in ("returned", LOCAL)]
-            state.volatile(keys, f"{line} starts {called.name}, which may change it at any time")
+            state.volatile(keys, f"{line} starts {call.name}, which may change it at any time")
         return TEXT
 
     # Statements
@@ -430,53 +430,53 @@ class Meaning:
 
     # Functions
 
-    def _called(self, called: FunctionCall, state: ProgramState) -> object:
-        if called.routines:
-            returned = state.get("returned", called.at)
+    def _called(self, call: FunctionCall, state: ProgramState) -> object:
+        if call.routines:
+            returned = state.get("returned", call.at)
             return Unknown(returned.why) if isinstance(returned, ComputedValue) else returned
-        rule = RULES.get(called.name)
+        rule = RULES.get(call.name)
         if rule is None:  # its arguments are spent by `absent`
-            return Unknown(f"{called.name} is in no given file")
+            return Unknown(f"{call.name} is in no given file")
         if isinstance(rule, Move):
-            return self._move(called, rule, state)
-        evaluate = _EVALUATE.get(called.name)
+            return self._move(call, rule, state)
+        evaluate = _EVALUATE.get(call.name)
         if evaluate is not None:
-            return evaluate(self, called, state)
-        line = self._line(called.at)
-        for _, argument in called.arguments:
+            return evaluate(self, call, state)
+        line = self._line(call.at)
+        for _, argument in call.arguments:
             value = self._value(argument, state)
             if rule is not Rule.LOOKS:
-                self._spend(value, f"{line} passes it on to {called.name}")
+                self._spend(value, f"{line} passes it on to {call.name}")
         if isinstance(rule, Switch):
-            self._switch(called, rule, state)
+            self._switch(call, rule, state)
         elif rule is Rule.POSTURE:
-            state.set("rest", None, called.at)
-            state.forget("stance", None, f"{line}: {called.name} may leave the arm in another posture")
+            state.set("rest", None, call.at)
+            state.forget("stance", None, f"{line}: {call.name} may leave the arm in another posture")
         elif rule is Rule.OPEN:
-            state.forget_all(f"{line}: {called.name} carries out what comes from outside")
-        return Unknown(f"{line}: {called.name}(...) is worked out while the program runs")
+            state.forget_all(f"{line}: {call.name} carries out what comes from outside")
+        return Unknown(f"{line}: {call.name}(...) is worked out while the program runs")
 
-    def _switch(self, called: FunctionCall, switch: Switch, state: ProgramState) -> None:
-        line = self._line(called.at)
+    def _switch(self, call: FunctionCall, switch: Switch, state: ProgramState) -> None:
+        line = self._line(call.at)
         state.set(
             "mode",
             switch.mode,
             f"{switch.mode} is active: the arm does not just go to its targets" if switch.on else "",
         )
-        state.set("rest", None, called.at)
+        state.set("rest", None, call.at)
         if switch.led:
-            state.forget("stance", None, f"{line}: {called.name}: the arm is led by hand")
+            state.forget("stance", None, f"{line}: {call.name}: the arm is led by hand")
 
-    def _set_tcp(self, called: FunctionCall, state: ProgramState) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, ("pose", "tcp_name"), state)
+    def _set_tcp(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, ("pose", "tcp_name"), state)
         tool = self._frame(given.get("pose", Unknown(f"{line}: set_tcp has no pose")), f"{line} uses it as a tool")
         state.set("tool", None, Unknown(f"the tool of {line}: {tool.why}") if isinstance(tool, Unknown) else tool)
         return TEXT
 
-    def _pose_trans(self, called: FunctionCall, state: ProgramState) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, ("p_from", "p_from_to"), state)
+    def _pose_trans(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, ("p_from", "p_from_to"), state)
         if given.keys() != {"p_from", "p_from_to"}:
             return self._waste(list(given.values()), line)
         first, second = given["p_from"], given["p_from_to"]
@@ -486,9 +486,9 @@ class Meaning:
             return Point(second.literal, self._product(base, second.base), (*frames, *second.frames))
         return product(base, self._frame(second, f"{line} computes with it"))
 
-    def _pose_inv(self, called: FunctionCall, state: ProgramState) -> object:
-        line = self._line(called.at)
-        values = list(self._bound(called, ("p_from",), state).values())
+    def _pose_inv(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        values = list(self._bound(call, ("p_from",), state).values())
         if len(values) != 1:
             return self._waste(values, line)
         frame = self._frame(values[0], f"{line} uses it as a frame")
@@ -499,22 +499,22 @@ class Meaning:
             self._spend(value, f"{line} passes it on")
         return Unknown(f"{line} is not understood")
 
-    def _angle(self, called: FunctionCall, state: ProgramState) -> object:
-        line = self._line(called.at)
-        values = [self._value(value, state) for _, value in called.arguments]
+    def _angle(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
+        values = [self._value(value, state) for _, value in call.arguments]
         if len(values) == 1 and isinstance(values[0], float):
-            return math.radians(values[0]) if called.name == "d2r" else math.degrees(values[0])
+            return math.radians(values[0]) if call.name == "d2r" else math.degrees(values[0])
         return self._waste(values, line)
 
-    def _get_tcp_offset(self, called: FunctionCall, state: ProgramState) -> object:
+    def _get_tcp_offset(self, call: FunctionCall, state: ProgramState) -> object:
         return state.get("tool")
 
-    def _get_inverse_kin(self, called: FunctionCall, state: ProgramState) -> object:
-        line = self._line(called.at)
+    def _get_inverse_kin(self, call: FunctionCall, state: ProgramState) -> object:
+        line = self._line(call.at)
         names = ("x", "qnear", "maxPositionError", "maxOrientationError", "tcp")
-        given = self._bound(called, names, state)
+        given = self._bound(call, names, state)
         value, near, tool = given.pop("x", None), given.pop("qnear", None), state.get("tool")
-        spoken = _named(called, names)
+        spoken = _named(call, names)
         for name, other in given.items():
             if isinstance(other, float):  # how exact it is to be
                 continue
@@ -527,7 +527,7 @@ class Meaning:
                 self._spend(value, f"{line} passes it on to get_inverse_kin")
             return value if isinstance(value, Unknown) else Unknown(f"{line} works out joints while the program runs")
         if isinstance(state.get("rest"), Unknown):
-            state.set("rest", None, called.at)
+            state.set("rest", None, call.at)
         return replace(value, solved=SolvedJoints(tool, readings, state.get("rest"), why))
 
     def _near(self, value: object, expression: Expression | None) -> tuple[tuple[float, ...] | None, str]:
@@ -548,20 +548,20 @@ class Meaning:
 
     # Moves
 
-    def _move(self, called: FunctionCall, move: Move, state: ProgramState) -> object:
-        line = self._line(called.at)
-        given = self._bound(called, move.parameters, state)
+    def _move(self, call: FunctionCall, move: Move, state: ProgramState) -> object:
+        line = self._line(call.at)
+        given = self._bound(call, move.parameters, state)
         strange = next((name for name in given if name not in move.parameters), None)
-        trouble = "" if strange is None else f"{line}: {called.name} is not known to take {strange or 'so much'}"
+        trouble = "" if strange is None else f"{line}: {call.name} is not known to take {strange or 'so much'}"
         for name, value in given.items():
             if name not in move.goals:
-                self._spend(value, f"{line} passes it on to {called.name}")
+                self._spend(value, f"{line} passes it on to {call.name}")
         trouble = trouble or self._mode(given, state)
         for goal in move.goals:
-            value = given.get(goal, Unknown(f"{line}: {called.name} has no goal"))
+            value = given.get(goal, Unknown(f"{line}: {call.name} has no goal"))
             why = trouble or self._only_position(goal, value)
-            self._go(called, move, value, line, why, state)
-        state.set("rest", None, called.at)
+            self._go(call, move, value, line, why, state)
+        state.set("rest", None, call.at)
         return TEXT
 
     def _mode(self, given: Mapping[str, object], state: ProgramState) -> str:
@@ -583,18 +583,18 @@ class Meaning:
             "" if any(n.value != 0.0 for n in rotation) else "only its position is used, and it states no orientation"
         )
 
-    def _go(self, called: FunctionCall, move: Move, value: object, line: str, why: str, state: ProgramState) -> None:
+    def _go(self, call: FunctionCall, move: Move, value: object, line: str, why: str, state: ProgramState) -> None:
         stance = state.get("stance")
         coming = stance.why if isinstance(stance, Unknown) else ""
         if not isinstance(value, Point):
             if move.by_joints:
                 state.forget("stance", None, f"{line} goes to a place that is not known")
-            self._spend(value, f"{line} passes it on to {called.name}")
-            self._leave(called, value)
+            self._spend(value, f"{line} passes it on to {call.name}")
+            self._leave(call, value)
             return
         pose = value.literal.pose
         if pose and move.joints_only and value.solved is None:
-            why = why or f"{called.name} takes joints, and this is a pose"
+            why = why or f"{call.name} takes joints, and this is a pose"
         if not pose:
             use = Use(
                 line, why=why or ("" if move.by_joints or not coming else f"it stands for its pose, and {coming}")
@@ -614,14 +614,14 @@ class Meaning:
             self._ledger.declare(key, value.literal)
             self._ledger.go(key, use)
 
-    def _solved(self, value: Point, solved: SolvedJoints, line: str, why: str, coming: str, state: ProgramState) -> Use:
-        if solved.near is not None:
+    def _solved(self, value: Point, joints: SolvedJoints, line: str, why: str, coming: str, state: ProgramState) -> Use:
+        if joints.near is not None:
             coming = ""
-        elif solved.why:
-            coming = solved.why
-        elif state.get("rest") != solved.rest:
+        elif joints.why:
+            coming = joints.why
+        elif state.get("rest") != joints.rest:
             coming = f"{line} goes to joints that were worked out before, elsewhere"
-        return Use(line, self._product(self.base, value.base), solved.tool, why=why, near=solved.near, unknown=coming)
+        return Use(line, self._product(self.base, value.base), joints.tool, why=why, near=joints.near, unknown=coming)
 
     def _product(self, first: object, second: object) -> object:
         """The product of two frames; of the same ones it is the same object, so that a long program has few."""
@@ -645,12 +645,12 @@ class Meaning:
             )
         return Frame(T)
 
-    def _leave(self, called: FunctionCall, value: object) -> None:
+    def _leave(self, call: FunctionCall, value: object) -> None:
         """A goal that no plain numbers say."""
-        file, place = called.at
+        file, place = call.at
         code = self._codes[file]
         end = code.closing(code.plain.find("(", place)) + 1
-        name = " ".join(code.text[place : max(end, place + len(called.name))].split())
+        name = " ".join(code.text[place : max(end, place + len(call.name))].split())
         why = value.why if isinstance(value, Unknown) else "is worked out while the program runs"
         self._ledger.leave(Target(code.line(place), name, "pose", NONE, why, file=file))
 
@@ -694,11 +694,11 @@ _STANDING = ("get_actual_joint_positions", "get_target_joint_positions")
 """Where the arm stands: inverse kinematics starts there without being told."""
 
 
-def _named(called: FunctionCall, parameters: tuple[str, ...]) -> dict[str, Expression]:
+def _named(call: FunctionCall, parameters: tuple[str, ...]) -> dict[str, Expression]:
     """The arguments of a function by the names of its parameters; one too many has none."""
     return {
         keyword or (parameters[k] if k < len(parameters) else ""): value
-        for k, (keyword, value) in enumerate(called.arguments)
+        for k, (keyword, value) in enumerate(call.arguments)
     }
 
 

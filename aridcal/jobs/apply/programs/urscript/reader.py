@@ -37,7 +37,7 @@ def read(project: Project, cell: Cell) -> ProgramReading:
         AridcalError: it has poses, and nothing says where the controller counts them from.
     """
     codes = tuple(code_of(k, source.path.name, source.text) for k, source in enumerate(project.sources))
-    files, one, left = _parsed(codes)
+    files, one, kept_targets = _parsed(codes)
     routines = {routine.key: routine for file in files.values() for routine in file.routines}
     empty = File([], {}, {})
     listed = [files.get(k, empty) for k in range(len(codes))]
@@ -54,7 +54,7 @@ def read(project: Project, cell: Cell) -> ProgramReading:
         for routine in routines.values():
             routine.body = ()
     notes = (BASE_NOTE,) if meaning.poses and DEFAULT not in cell.frames.bases else ()
-    return ProgramReading([*meaning.targets(), *left], notes)
+    return ProgramReading([*meaning.targets(), *kept_targets], notes)
 
 
 def comment(text: str, sentence: str) -> tuple[int, str]:
@@ -65,12 +65,14 @@ def comment(text: str, sentence: str) -> tuple[int, str]:
 
 def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target]]:
     """Files that can be read, whether they call each other, and what the others leave."""
-    left: list[Target] = []
+    kept_targets: list[Target] = []
     whole: list[Code] = []
     for code in codes:
         lone = LONE_RETURN.search(code.text)
         if lone:
-            left += _all_left(code, f"{code.name} has a carriage return without a line feed: write its line ends anew")
+            kept_targets += _all_left(
+                code, f"{code.name} has a carriage return without a line feed: write its line ends anew"
+            )
         else:
             whole.append(code)
     names, keys = _named(whole)
@@ -83,11 +85,11 @@ def _parsed(codes: tuple[Code, ...]) -> tuple[dict[int, File], bool, list[Target
         try:
             files[code.file] = Parser(code, {**others, **own}, keys[code.file]).file()
         except MalformedProgram as problem:
-            left += _all_left(code, f"{code.name} is no whole program: {problem}")
+            kept_targets += _all_left(code, f"{code.name} is no whole program: {problem}")
         else:
             mine = set(keys[code.file].values())
             one = one or any(not routine.calls <= mine for routine in files[code.file].routines)
-    return files, one, left
+    return files, one, kept_targets
 
 
 def _named(codes: list[Code]) -> tuple[dict[int, dict[str, list[str]]], dict[int, dict[int, str]]]:
@@ -109,12 +111,12 @@ def _walked(meaning: Meaning, files: dict[int, File]) -> None:
     """Walk all programs of the files: what stands outside of functions, then functions that nothing calls, then threads."""
     routines = {routine.key: routine for file in files.values() for routine in file.routines}
     walk = meaning.walk = Walk({key: routine.body for key, routine in routines.items()}, meaning)
-    called = {key for routine in routines.values() for key in routine.calls if key != routine.key}
+    callees = {key for routine in routines.values() for key in routine.calls if key != routine.key}
     for file in files.values():
         top, *others = file.routines
         state = meaning.begin()
         walk.enter(top.key, state)
-        for routine in _entries(others, called, walk):
+        for routine in _entries(others, callees, walk):
             walk.enter(routine.key, ProgramState(state))
     for routine in routines.values():
         if routine.kind == "thread":
@@ -123,10 +125,10 @@ def _walked(meaning: Meaning, files: dict[int, File]) -> None:
             walk.enter(routine.key, state)
 
 
-def _entries(routines: list[Routine], called: set[str], walk: Walk) -> Iterator[Routine]:
+def _entries(routines: list[Routine], callees: set[str], walk: Walk) -> Iterator[Routine]:
     """Functions that nothing calls; then those that only such call as nothing comes to."""
     functions = [routine for routine in routines if routine.kind != "thread"]
-    yield from (routine for routine in functions if routine.key not in called)
+    yield from (routine for routine in functions if routine.key not in callees)
     yield from (routine for routine in functions if routine.key not in walk.reached)
 
 

@@ -114,12 +114,12 @@ class Meaning:
                 why = f"{self.line(k, use.start)} uses it otherwise than to go there"
                 if use.kind == "C":
                     own = [(k, p) for (kind, n), p in self._jobs[k].positions.items() if kind == "C"]
-                    found = [(k, p) for k, p in own if use.number in (ANY, p.number)]
+                    positions = [(k, p) for k, p in own if use.number in (ANY, p.number)]
                 elif use.number == ANY:
-                    found = [entry for entries in self._variables.values() for entry in entries]
+                    positions = [entry for entries in self._variables.values() for entry in entries]
                 else:
-                    found = self._variables.get(use.number, [])
-                for owner, position in found:
+                    positions = self._variables.get(use.number, [])
+                for owner, position in positions:
                     self._spoil(owner, position, why)
 
     def _spoil_variables(self, flows: Sequence[Flow], walked: frozenset[int]) -> None:
@@ -152,15 +152,15 @@ class Meaning:
 
     # the state
 
-    def begin(self, state: ProgramState, written: Mapping[str, Mapping[int, str]]) -> None:
-        """The state in which a job is started; ``written``: frames and tools that some given job sets, and where."""
+    def begin(self, state: ProgramState, frame_texts: Mapping[str, Mapping[int, str]]) -> None:
+        """The state in which a job is started; ``frame_texts``: frames and tools that some given job sets, and where."""
         for family, stated in (("frame", self._given.frames), ("tool", self._given.tools)):
-            if ANY in written[family]:
-                state.forget_family(family, written[family][ANY])
+            if ANY in frame_texts[family]:
+                state.forget_family(family, frame_texts[family][ANY])
                 continue
             for number, value in stated.items():
                 state.set(family, number, value)
-            for number, why in written[family].items():
+            for number, why in frame_texts[family].items():
                 state.forget(family, number, why)
         state.set("positions", None, True)
         state.set("shift", None, None)
@@ -218,25 +218,25 @@ class Meaning:
     # moves
 
     def _go(self, what: Action, state: ProgramState) -> None:
-        found = self._position(what)
+        position = self._position(what)
         if state.recording:
-            if found is not None and found[0] in self._spoken:
-                self.ledger.go(self._key(*found), self._use(what, *found, state))
+            if position is not None and position[0] in self._spoken:
+                self.ledger.go(self._key(*position), self._use(what, *position, state))
             elif what.job in self._spoken:
                 self._leave(what)
-        self._stand(what, found, state)
+        self._stand(what, position, state)
 
-    def _stand(self, what: Action, found: tuple[int, Position] | None, state: ProgramState) -> None:
+    def _stand(self, what: Action, position: tuple[int, Position] | None, state: ProgramState) -> None:
         """How the arm stands behind a move."""
         stance = state.get("stance")
-        if found is None or what.why or self._key(*found) in self._misread:
+        if position is None or what.why or self._key(*position) in self._misread:
             if what.joint or stance == AS_STATED:
                 state.forget("stance", None, STANCE)
-        elif found[1].pulses:
+        elif position[1].pulses:
             state.set("stance", None, AS_STATED)
         elif stance == AS_STATED:
-            state.set("stance", None, found[1].posture)
-        elif stance != found[1].posture and not isinstance(stance, Unknown):
+            state.set("stance", None, position[1].posture)
+        elif stance != position[1].posture and not isinstance(stance, Unknown):
             state.forget("stance", None, self._other_posture(what))
 
     def _position(self, what: Action) -> tuple[int, Position] | None:
@@ -291,11 +291,11 @@ class Meaning:
         return Use(line, base, tool, False, why, None, strange)
 
     def _base(self, what: Action, k: int, position: Position, state: ProgramState) -> object:
-        job, called = self._jobs[k], state.get("called frame")
-        if isinstance(called, Unknown):
-            return called
-        if called:
-            return self._called(job, position, str(called), state)
+        job, frame = self._jobs[k], state.get("called frame")
+        if isinstance(frame, Unknown):
+            return frame
+        if frame:
+            return self._called(job, position, str(frame), state)
         if position.kind == "C" and job.relative:
             self.assumed.add("relative")
             own = f"USER {position.user}" if position.frame == "USER" else position.frame
@@ -306,15 +306,15 @@ class Meaning:
             return self._given.robot
         return self._numbered("frame", "user frame", position.user, state)
 
-    def _called(self, job: Job, position: Position, called: str, state: ProgramState) -> object:
+    def _called(self, job: Job, position: Position, callee: str, state: ProgramState) -> object:
         """The frame of a position whose job is called with one."""
         if not job.relative or position.frame != "USER" or position.kind != "C":
             return Unknown(
-                f"is no position of a relative job in a user frame, but gone to by one called with UF#({called})"
+                f"is no position of a relative job in a user frame, but gone to by one called with UF#({callee})"
             )
-        if not called.isdecimal():
-            return Unknown(f"its job is called with a user frame whose number is worked out, UF#({called})")
-        return self._numbered("frame", "user frame", str(int(called)), state)
+        if not callee.isdecimal():
+            return Unknown(f"its job is called with a user frame whose number is worked out, UF#({callee})")
+        return self._numbered("frame", "user frame", str(int(callee)), state)
 
     def _tool(self, position: Position, state: ProgramState) -> object:
         return self._numbered("tool", "tool", position.tool, state)
