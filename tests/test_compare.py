@@ -177,7 +177,7 @@ def test_an_effect_that_one_lacks_counts_only_if_its_rows_would_have_shown_it() 
 
 def test_causes_of_nothing_are_none() -> None:
     found = difference(*pair(4))
-    assert causes(found).found == ()
+    assert causes(found).changes == ()
     assert causes(found).rest == pytest.approx(found.p_value)
 
 
