@@ -145,7 +145,7 @@ def test_nothing_is_offered_that_goes_with_the_reading_of_a_joint_that_stands_st
     q = robots.readings(robot, 30, np.random.default_rng(5))
     table = covariate_table(robot, q, {}, Surroundings(), np.zeros(30, dtype=int), {f"{WAIST}.gravity_torque"})
     offered = candidates(
-        ObservedRows(robot, table, ()), [name for name, kind in EFFECT_KINDS.items() if not kind.asked]
+        ObservedRows(robot, table, ()), [name for name, kind in EFFECT_KINDS.items() if not kind.on_request]
     )
     depends = {name for effect in offered for c in effect.coefficients for name in c.basis.of}
     assert KNUCKLE in depends and WAIST not in depends

@@ -177,11 +177,11 @@ def test_parameters_name_what_was_identified(cal: aridcal.Calibration) -> None:
 def test_a_second_look_is_a_table_as_well(cal: aridcal.Calibration) -> None:
     assert cal.outcome is not None
     looked = cal.outcome.second_look
-    assert looked is not None and looked.known is not None and looked.influence is not None
+    assert looked is not None and looked.identifiability is not None and looked.influence is not None
     combinations = cal.combinations
-    assert list(combinations) == [*looked.known.names, "std"]
+    assert list(combinations) == [*looked.identifiability.names, "std"]
     assert combinations["std"].is_monotonic_increasing
-    first = looked.known.combinations[0]
+    first = looked.identifiability.combinations[0]
     assert combinations.loc[0, first.parts[0][0]] == first.parts[0][1]
     rows = cal.influence
     assert rows["shift_mm"].is_monotonic_decreasing and len(rows) == 20

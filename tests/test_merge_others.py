@@ -68,7 +68,7 @@ def test_means_are_those_of_the_samples_in_each_window(
             (joints, "temperature", "temperature"),
             (tracker, "temperature", "tracker_temperature"),
         ):
-            begin, end = found.pairs.begin[k : k + 1], found.found.end[k : k + 1]
+            begin, end = found.pairs.begin[k : k + 1], found.pairs.end[k : k + 1]
             if log is joints:
                 begin, end = found.clocks.joints(begin), found.clocks.joints(end)
             samples = [v for t, v in zip(log["time"], log[name], strict=True) if begin[0] <= t <= end[0]]

@@ -91,7 +91,7 @@ def test_rows_are_weighed_by_what_rounded_joints_do_to_them(tmp_path: Path) -> N
     data = rounded(gauges.rows(arm, gauges.distances(arm, 3, 100), gauges.levels(arm, 60)))
     job = gauges.campaign(tmp_path, arm, data)
     made = fit_arm(job.question, fit_constants(job.question, arm.robot, data, ()), data, SILENT).diagnosed
-    found = noise_causes(made.fit, made.found.state.active, data)
+    found = noise_causes(made.fit, made.stepwise.state.active, data)
     assert found is not None and found.relative is not None
     fit, step = made.fit, 1e-6
     asked = problem(fit.model, data)
