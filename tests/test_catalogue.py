@@ -105,7 +105,7 @@ def observed() -> tuple[ObservedRows, Model, np.ndarray, dict[str, np.ndarray]]:
 
 def effects(kind: str) -> list[Effect]:
     held = HELD if kind in OF_THINGS else HEAD_HELD if is_of_head(kind) else {}
-    found = candidates(replace(observed()[0], held=held, referred=dict.fromkeys(held, N)), (kind,))
+    found = candidates(replace(observed()[0], stated_components=held, referred=dict.fromkeys(held, N)), (kind,))
     assert found
     return found
 
@@ -119,11 +119,11 @@ def test_what_is_held_at_a_thing_may_be_wrong_and_what_is_identified_may_not() -
     rows = observed()[0]
     kinds = ("lens_distortion", "focal_length", "principal_point", "distance_scale")
     assert not candidates(rows, kinds)
-    found = {(e.kind, e.where, e.motion) for e in candidates(replace(rows, held=HELD), kinds)}
+    found = {(e.kind, e.where, e.motion) for e in candidates(replace(rows, stated_components=HELD), kinds)}
     assert {("focal_length", "eye", ("fx", "fy")), ("distance_scale", "rail", ("scale",))} < found
     held = {("camera", "eye"): ("k1", "k2")}
-    assert {e.motion for e in candidates(replace(rows, held=held), kinds)} == {("k1",), ("k1", "k2")}
-    assert all(not e.covariates for e in candidates(replace(rows, held=HELD), kinds))
+    assert {e.motion for e in candidates(replace(rows, stated_components=held), kinds)} == {("k1",), ("k1", "k2")}
+    assert all(not e.covariates for e in candidates(replace(rows, stated_components=HELD), kinds))
 
 
 @pytest.mark.parametrize("kind", EFFECT_KINDS)

@@ -151,7 +151,7 @@ def test_a_tolerance_stands_among_the_figures_whether_it_is_kept_or_not(
 ) -> None:
     assert outcome.certainty is not None
     first, *others = outcome.certainty.tolerances
-    asked = replace(outcome.certainty, kept=(replace(first, tolerance=2e-4, reasons=reasons), *others))
+    asked = replace(outcome.certainty, tolerances=(replace(first, tolerance=2e-4, reasons=reasons), *others))
     headline = dict(page_of(replace(outcome, certainty=asked), folder).headline)
     assert headline["Tolerance of position"].startswith(f"0.200 mm: {answer}")
     assert not any(name.startswith("Tolerance") for name, _ in page_of(outcome, folder).headline)

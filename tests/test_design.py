@@ -109,7 +109,7 @@ def test_no_single_exchange_makes_a_choice_better(criterion: str) -> None:
 @pytest.mark.parametrize("criterion", SETTINGS)
 def test_a_choice_of_rows_that_alone_tell_something_is_the_best(criterion: str) -> None:
     """Fewer rows than unknowns, of which next to nothing is known: what one row less leaves is asked anew, not downdated."""
-    choice = replace(a_choice(criterion, seed=2, count=9), known=1e-13 * np.eye(6))
+    choice = replace(a_choice(criterion, seed=2, count=9), prior_information=1e-13 * np.eye(6))
     every = [choice.cost(some) for some in combinations(range(9), 2)]
     found = best_choice(choice, 2, np.random.default_rng(0), starts=12)
     assert choice.cost(found) <= (np.quantile(every, 0.1) if criterion == "G" else min(every) + 1e-6 * abs(min(every)))
